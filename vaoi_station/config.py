@@ -84,6 +84,8 @@ class CameraConfig(Section):
     """Speed of `link`, without one of the port; None for the speed that the interface reports."""
     user_set: Word = "Default"
     """User set of the camera that is loaded before all settings; "keep" keeps what is in the camera."""
+    ptp: bool = False
+    """Whether the camera's clock follows a PTP master (IEEE 1588); otherwise PTP is switched off."""
     features: Annotated[tuple[dict[str, bool | Whole | Finite | str], ...], BeforeValidator(_as_list)] = Field(
         default=(), json_schema_extra={"type": "object"}
     )

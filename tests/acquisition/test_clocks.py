@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vaoi_station.acquisition.clocks import ClockModel, ClockReading, DeviceClock
+from vaoi_station.acquisition.clocks import ClockModel, ClockReading, DeviceClock, apart_s
 
 readings = st.lists(st.tuples(st.floats(0, 100), st.floats(1e-6, 0.05), st.floats(-1, 1)), min_size=1, max_size=40).map(
     sorted
@@ -47,3 +47,19 @@ def test_a_step_within_the_errors_of_readings_is_no_jump() -> None:
         assert model.add(ClockReading(float(k), 100.0 + k, 1e-5)) is None
     assert model.add(ClockReading(10.0005, 110.0, 1e-5)) is None
     assert model.restarts == 1, "the line begins anew nevertheless"
+
+
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=12), st.floats(-5.1e-3, 5.1e-3))
+def test_clocks_of_one_time_are_apart_when_they_certainly_are(errors: list[float], off_s: float) -> None:
+    """All but the first show the time of one master, read with errors up to the bounds, from zeros of their own."""
+    clocks = {}
+    for k, error in enumerate(errors):
+        epoch_ns = 1_700_000_000_000_000_000 + 1_000_000_007 * k
+        clocks[k] = ClockModel("camera"), epoch_ns
+        for at_s in range(5):
+            shown_s = at_s - 1.000000007 * k + (off_s if k == 0 else 0)
+            clocks[k][0].add(ClockReading(shown_s, at_s + error * 1e-3, 1e-3))
+    apart = apart_s({**clocks, len(errors): (ClockModel("never read"), 0)}, 4.0)
+    assert all(apart[k] == 0 for k in apart if k > 0 or abs(off_s) < 1e-4)
+    if abs(off_s) > 5e-3:  # twice the bounds of both
+        assert apart[0] == pytest.approx(off_s, abs=3e-3)

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -84,8 +84,11 @@ class FilmingLine:
         self.bench.until(Ready)
         self._pace = threading.Event()
 
-    def film(self, rows: int = ROWS) -> RunFinished:
-        """Film a board; every camera exposes noise of its own in every row, and what arrived is compared with it."""
+    def film(self, rows: int = ROWS, after: Callable[[int], object] = lambda _row: None) -> RunFinished:
+        """Film a board; every camera exposes noise of its own in every row, and what arrived is compared with it.
+
+        `after` is called after each row; row −1 is the time from the barrier to the first pulse.
+        """
         self.bench.grant("run 0", 0)
         self.bench.send(Arm(replace(TriggerPlan.of(self.bench.config.line), start_delay_s=START_S)))
         self.bench.until(Armed)
@@ -95,6 +98,7 @@ class FilmingLine:
                 for number, camera in enumerate(self.cameras):
                     camera.expose(self.picture(number, row), edge_ns=edge_ns)
             self._pace.wait(PERIOD_S if row >= 0 else START_S)
+            after(row)
 
         self.controller.board(rows, expose)
         return self.bench.until(RunFinished)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from vaoi_station.errors import DeviceError
@@ -146,6 +146,22 @@ class ClockModel:
             raise ClockError(
                 f"{self.name}: its clock has never been read.", action="Check the link to the device, then arm again."
             )
+
+
+def apart_s(clocks: Mapping[int, tuple[ClockModel, int]], host_s: float) -> dict[int, float]:
+    """Return by how much clocks that should show one time certainly differ from their median; 0 within the bounds.
+
+    Each comes with the time, ns, from which its seconds count.
+    """
+    known = {k: pair for k, pair in clocks.items() if math.isfinite(pair[0].read_s)}
+    if len(known) < 2:
+        return {}
+    origin_ns = next(iter(known.values()))[1]
+    times_s = {k: clock.device_s(host_s) + (epoch_ns - origin_ns) * 1e-9 for k, (clock, epoch_ns) in known.items()}
+    bounds_s = {k: clock.bound_s(clock.device_s(host_s)) for k, (clock, _) in known.items()}
+    middle = sorted(known, key=times_s.__getitem__)[(len(known) - 1) // 2]
+    off_s = {k: times_s[k] - times_s[middle] for k in known}
+    return {k: off_s[k] if abs(off_s[k]) > bounds_s[k] + bounds_s[middle] + RESOLUTION_S else 0.0 for k in known}
 
 
 def timed_reading(read_s: Callable[[], float]) -> ClockReading:

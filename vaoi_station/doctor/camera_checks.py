@@ -34,6 +34,7 @@ from vaoi_station.acquisition.cameras.aravis.settings import (
     Control,
     deviations,
     frame_trigger,
+    has_ptp,
     limits_of,
     trigger_line,
 )
@@ -108,6 +109,7 @@ class Offered:
     left: tuple[str, ...] = ()
     """What another program has left in the camera and the station changes: feature, value, new value and why."""
     black_level: float | None = None
+    has_ptp: bool = False
 
 
 def cameras(context: CheckContext) -> Iterator[Finding]:
@@ -189,6 +191,7 @@ def ask(camera: CameraConfig) -> Offered:
             exposure_modes=features.entries("ExposureMode"),
             without=missing_features(features),
             left=tuple(_left_over(control, camera)),
+            has_ptp=has_ptp(features),
             black_level=None if black_level is None else float(black_level),
             sensor=(_first(features, "SensorWidth", "WidthMax"), _first(features, "SensorHeight", "HeightMax")),
             trigger_mode=str(features.read("TriggerMode")) if features.has("TriggerMode") else "Off",
@@ -279,6 +282,9 @@ def _shortcomings(camera: CameraConfig, offered: Offered) -> Iterator[Finding]:
     if camera.exposure_by == "sequencer" and offered.without:
         message = f"has no sequencer, as exposure_by states: {', '.join(offered.without)} missing."
         yield fault("sequencer-absent", message, by_register, name)
+    if camera.ptp and not offered.has_ptp:
+        message = "has no PTP, as ptp = true states."
+        yield fault("feature-absent", message, "Remove ptp of this camera from station.toml.", name)
     right, bottom = camera.offset_px[0] + camera.width, camera.offset_px[1] + camera.height
     width, height = (size or math.inf for size in offered.sensor)
     if right > width or bottom > height:
@@ -375,4 +381,6 @@ def _judge_reported(state: dict[str, Any]) -> Finding:
         action = "See docs/internals/acquisition.md."
         return warning("camera-remark", message, action, name, **figures)
     counted = f"{figures['delivered']} frames delivered, {figures['incomplete']} incomplete"
+    if ptp := state.get("ptp"):  # its troubles are warnings of the station
+        counted += f", PTP state {ptp['state'] or 'not stated'}"
     return ok(f"connected, {counted}", name, **figures)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from vaoi_station.acquisition.cameras.interface import CameraHealth
+from vaoi_station.acquisition.cameras.interface import CameraHealth, CameraPtp
 from vaoi_station.acquisition.controller.interface import Permit
 from vaoi_station.acquisition.process.messages import Health, PermitBoard
 from vaoi_station.config import CameraConfig
@@ -42,6 +42,21 @@ def test_arming_is_refused_with_the_names_and_the_way_to_allow_it() -> None:
         readiness.require(health(False, False), CAMERAS)
     assert refusal.value.code == "camera-lost"
     assert "allow_lost_cameras" in refusal.value.action
+
+
+def test_a_clock_that_follows_no_master_or_differs_from_the_others_is_a_warning_that_holds_no_board_back() -> None:
+    seen = [
+        CameraHealth(True, ptp=CameraPtp("Listening")),
+        CameraHealth(True, ptp=CameraPtp("Slave", apart_s=0.0032)),
+        CameraHealth(True, ptp=CameraPtp("Master")),
+    ]
+    found = readiness.ptp_warnings(Health(tuple(seen), "fine", 1.0), [*CAMERAS, camera("third")])
+    assert [(r.code, r.message.split(". ")[0]) for r in found] == [
+        ("ptp-not-synchronised", "Camera left: its clock follows no PTP master (state Listening)"),
+        ("ptp-clocks-apart", "Camera right: says Slave, but differs by +3.200 ms from others with PTP"),
+    ]
+    assert not {r.code for r in found} & readiness.NOT_READY
+    assert readiness.ptp_warnings(None, CAMERAS) == ()
 
 
 READY = readiness.LineFacts(StationState.ARMED, True, health(True, True), False, (), 1.5)

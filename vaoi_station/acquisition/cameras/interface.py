@@ -106,6 +106,25 @@ class CameraRecovery:
 
 
 @dataclass(frozen=True)
+class CameraPtp:
+    """What a camera whose clock is to follow a PTP master states of that."""
+
+    state: str
+    """By IEEE 1588: `Listening`, `Uncalibrated`, `Slave` …; empty if the camera does not state it."""
+    offset_ns: int | None = None
+    """Its clock minus that of its master; None if it does not state it."""
+    epoch_ns: int = 0
+    """Time of its clock from which the seconds of its readings count."""
+    apart_s: float = 0.0
+    """By how much its clock certainly differs from those of most other cameras with PTP; 0 within the bounds."""
+
+    @property
+    def synchronised(self) -> bool:
+        """Whether it says that its clock is that of a master. A camera whose master has gone may still say so."""
+        return self.state in ("Slave", "Master")
+
+
+@dataclass(frozen=True)
 class CameraHealth:
     """The state of one camera, for `GET station`, the page and `vaoi doctor`."""
 
@@ -129,6 +148,8 @@ class CameraHealth:
     """What the camera at this place is; empty for one that is no device."""
     recovery: CameraRecovery | None = None
     """None for a camera that films, or was lost for another cause."""
+    ptp: CameraPtp | None = None
+    """None for a camera without `ptp`, or one that is not connected."""
 
 
 def is_silent(health: CameraHealth) -> bool:

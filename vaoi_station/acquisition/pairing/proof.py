@@ -339,8 +339,8 @@ ACTIONS: Mapping[Kind, str] = {
     ),
     "off-beat": "Check the camera's trigger line for interference, then film the board again.",
     "clock-jumped": (
-        "Switch off what sets the camera's clock (PTP, IEEE 1588, another program) and check its power, then film the "
-        "board again."
+        "Find what sets the camera's clock (a PTP master that came or went, another program) and check its power, then "
+        "film the board again."
     ),
     "latency-changed": (
         "Film the board again: the latency that was found is used from now on. If it stays as it is, write it to "

@@ -16,7 +16,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -24,7 +24,7 @@ from time import monotonic
 from typing import Any
 
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraDevice, CameraLost, DeviceFault
-from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading
+from vaoi_station.acquisition.clocks import ClockError, ClockModel, ClockReading, apart_s
 from vaoi_station.acquisition.controller.interface import Controller, ControllerEvent, RunEnded
 from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.process.backends import open_devices
@@ -150,7 +150,7 @@ class _PolledClock:
 class _MainLoop:
     def __init__(self, config: StationConfig, ring: Ring, devices: Devices, connection: Connection) -> None:
         self._devices, self._connection, self._send = devices, connection, connection.send
-        self._inbox = Inbox()
+        self._inbox, self._cameras = Inbox(), config.cameras
         self._clocks = [ClockModel("controller"), *(ClockModel(c.label) for c in config.cameras)]
         self._session = Session(config, ring, devices, self._clocks[0], self._clocks[1:], connection.send)
         self._sources: list[Controller | CameraDevice] = [devices.controller, *devices.cameras]
@@ -164,6 +164,8 @@ class _MainLoop:
         self._health_is_due = False
         """Whether a device was lost or is back, or a board came or left: the next heartbeat is sent at once."""
         self._passage = PassageWatch()
+        self._apart: set[int] = set()
+        """Cameras with PTP whose clocks differ from the others."""
 
     def run(self) -> None:
         """Start the devices, then handle one message after another until `Shutdown`."""
@@ -306,8 +308,12 @@ class _MainLoop:
             jump = clock.add(polled.result)
             if jump is not None and polled.number > 0:
                 self._session.outages.add_jump(polled.number - 1, jump)
-                # A jump before the line is armed harms no board. Reported as trouble it would end the arming.
-                if self._waiting is None:
+                # A jump before the line is armed harms no board. Reported as trouble it would end the arming. A camera
+                # with PTP is set to the time of its master, which may come late; that costs nothing between two boards.
+                in_a_run = self._session.filming or self._session.awaits_clocks
+                if self._cameras[polled.number - 1].ptp and not in_a_run:
+                    _log.info("%s: %s, as its PTP master has set it", clock.name, jump)
+                elif self._waiting is None:
                     self._send(trouble_report(clock_jump_error(clock.name, jump)))
         elif not self._session.is_away(polled.number):
             self._send(trouble_report(polled.result, clock.name))
@@ -346,11 +352,20 @@ class _MainLoop:
                 raise
 
     def _health(self, now_s: float) -> Health:
-        cameras = tuple(camera.health() for camera in self._devices.cameras)
+        cameras = [camera.health() for camera in self._devices.cameras]
+        follow = {k: seen.ptp for k, seen in enumerate(cameras) if seen.ptp and seen.ptp.synchronised}
+        clocks = {k: (self._clocks[1 + k], ptp.epoch_ns) for k, ptp in follow.items()}
+        apart = {k: off_s for k, off_s in apart_s(clocks, now_s).items() if off_s}
+        for k, off_s in apart.items():
+            cameras[k] = replace(cameras[k], ptp=replace(follow[k], apart_s=off_s))
+        if apart.keys() != self._apart:
+            named = ", ".join(f"{self._clocks[1 + k].name} by {off_s * 1e3:+.3f} ms" for k, off_s in apart.items())
+            _log.warning("clocks of cameras with PTP that differ from the others: %s", named or "none any more")
+            self._apart = set(apart)
         controller = self._devices.controller
         self._passage.check_level(controller.barrier_blocked(), now_s)
         return Health(
-            cameras,
+            tuple(cameras),
             controller.health(),
             now_s,
             controller_ready=controller.is_watching(),

@@ -92,7 +92,7 @@ def clock_jump_error(camera: str, jump: ClockJump) -> DeviceError:
     """Return the error that reports a jump of a camera's clock."""
     return DeviceError(
         f"{camera}: {jump}; frames of the {jump.until_s - jump.since_s:.1f} s before it was noticed are not used.",
-        action="Switch off what sets the camera's clock (PTP, IEEE 1588, another program), and check its power.",
+        action="Find what sets the camera's clock (a PTP master that came or went, another program); check its power.",
         code="clock-jumped",
     )
 

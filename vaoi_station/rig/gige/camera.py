@@ -197,6 +197,8 @@ class Camera(Device):
         """
         if not self.armed:
             return 0
+        with self.lock:
+            self.ptp.advance()
         time_ns = self.clock_offset_ns + (time.monotonic_ns() if edge_ns is None else edge_ns)
         time_ns += round(self.trigger_delay_us * 1000)
         number, self.next_id = self.next_id, self.next_id + 1
@@ -284,6 +286,8 @@ class Camera(Device):
                 if name in self.features and self.features.register_of(name) is not None:
                     self.features.put(str(self.features.register_of(name)), self.ticks(self.time_ns()))
                     break
+        elif command in ("PtpDataSetLatch", "GevIEEE1588DataSetLatch"):
+            self.ptp.latch(command)
         elif command in ("TimestampReset", "GevTimestampControlReset"):
             self.clock_offset_ns = -time.monotonic_ns()
         elif command == "UserSetLoad":

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from vaoi_station.rig.gige.description import Description, Features, moved
 from vaoi_station.rig.gige.first_values import BOOTSTRAP_END, FirstValues, Sensor
 from vaoi_station.rig.gige.formula import Number
+from vaoi_station.rig.gige.ptp import ClockFaults, Ptp
 
 CONTROL_PORT = 3956
 DISCOVERY, FORCE_IP, RESEND, READ_REGISTER, WRITE_REGISTER, READ_MEMORY, WRITE_MEMORY = (
@@ -38,6 +39,7 @@ CAPABILITIES, HEARTBEAT_TIMEOUT, TICKS_HIGH, TICKS_LOW = 0x934, 0x938, 0x93C, 0x
 CLOCK_CONTROL, CLOCK_HIGH, CLOCK_LOW, PRIVILEGE = 0x944, 0x948, 0x94C, 0xA00
 STREAM_PORT, PACKET_SIZE, PACKET_DELAY, STREAM_ADDRESS = 0xD00, 0xD04, 0xD08, 0xD18
 _CLOCK_RESET, _CLOCK_LATCH = 1, 2
+_CAN_PTP = 1 << 31 - 12
 _FIRE_TEST_PACKET = 0x80000000
 IP_UDP_BYTES = 28
 XML_ADDRESS = 0x8000_0000
@@ -48,7 +50,7 @@ _URL = 0x200
 
 
 @dataclass
-class Faults:
+class Faults(ClockFaults):
     """What a device does wrong. Features are named as in its description."""
 
     refuses: dict[str, int] = field(default_factory=dict)
@@ -180,6 +182,8 @@ class Device:
             bootstrap = self._bootstrap()
             for at, content in bootstrap.items():
                 self.registers.write(at, content)
+            if "GevIEEE1588" in self.features:
+                self.set_number(CAPABILITIES, self.number(CAPABILITIES) | _CAN_PTP)
             if self._first is None:
                 taken = [at + k for at, content in bootstrap.items() for k in range(len(content))]
                 sensor = replace(self.sensor, tick_hz=self.tick_hz)
@@ -194,6 +198,7 @@ class Device:
             self.features.forget()
             self._owner, self._heard_s = ("", 0), 0.0
             self.clock_offset_ns = -time.monotonic_ns()
+            self.ptp = Ptp(self)
 
     @property
     def description(self) -> str:
@@ -207,6 +212,15 @@ class Device:
     def ticks(self, time_ns: int) -> int:
         """Return a time of the device in the ticks of its time stamps."""
         return time_ns * self.tick_hz // 1_000_000_000
+
+    def set_tick_hz(self, tick_hz: int) -> None:
+        """Count the clock in other ticks."""
+        self.tick_hz = tick_hz
+        self.set_number(TICKS_HIGH, tick_hz >> 32)
+        self.set_number(TICKS_LOW, tick_hz & 0xFFFFFFFF)
+        if "GevTimestampTickFrequency" in self.features:
+            self.features.put("GevTimestampTickFrequency", tick_hz)
+        self.features.forget()
 
     @property
     def controlled(self) -> bool:
@@ -295,6 +309,7 @@ class Device:
     def _answer(self, datagram: bytes, client: tuple[str, int]) -> None:
         _, flags, command, _, request_id = struct.unpack_from(">BBHHH", datagram)
         content = datagram[8:]
+        self.ptp.advance()
         if client == self._owner:
             self._heard_s = time.monotonic()
         if command == RESEND:

@@ -31,6 +31,7 @@ RENEW_S = 0.25
 _LARGEST = 0xFFFF
 HEALTH_OLD_S = 2.0
 """Age of the last heartbeat of the acquisition process after which its devices no longer count as ready, s."""
+_PTP = "Check that a PTP master is in its network, and that the switches pass PTP on; or set ptp = false for it."
 _DEFAULT_ACTION = "Check its cable and power; the station reopens it automatically."
 
 
@@ -150,6 +151,21 @@ def changes(before: Health | None, now: Health, cameras: Sequence[CameraConfig])
     gone = (f"{sentence(cameras[k].label)} is lost: boards would be filmed without it." for k in sorted(are - were))
     back = (f"{sentence(cameras[k].label)} is ready again." for k in sorted(were - are))
     return (*gone, *back)
+
+
+def ptp_warnings(health: Health | None, cameras: Sequence[CameraConfig]) -> tuple[Reason, ...]:
+    """Return a warning for every camera with PTP that follows no master, or whose clock differs from the others'."""
+    found = []
+    for camera, seen in zip(cameras, health.cameras if health else (), strict=False):
+        who, goes_on = sentence(camera.label).rstrip("."), "Boards are filmed: the station compares its clock itself."
+        if seen.ptp is not None and not seen.ptp.synchronised:
+            message = f"{who}: its clock follows no PTP master (state {seen.ptp.state or 'not stated'}). {goes_on}"
+            found.append(Reason(code="ptp-not-synchronised", message=message, action=_PTP))
+        elif seen.ptp is not None and seen.ptp.apart_s:
+            off_ms = seen.ptp.apart_s * 1e3
+            message = f"{who}: says {seen.ptp.state}, but differs by {off_ms:+.3f} ms from others with PTP. {goes_on}"
+            found.append(Reason(code="ptp-clocks-apart", message=message, action=_PTP))
+    return tuple(found)
 
 
 def not_connected(label: str, why: str) -> str:

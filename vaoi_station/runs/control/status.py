@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from vaoi_station.acquisition.cameras.interface import CameraRecovery
+from vaoi_station.acquisition.cameras.interface import CameraPtp, CameraRecovery
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError
 from vaoi_station.model import Reason
@@ -20,6 +20,7 @@ from vaoi_station.runs.run.run_views import versions
 from vaoi_station.runs.states.run_ids import utc_of_host
 from vaoi_station.runs.states.schemas import (
     STARTING,
+    CameraPtpStatus,
     CameraRecoveryStatus,
     CameraStatus,
     LineOutputStatus,
@@ -56,6 +57,7 @@ def snapshot_of(
             *core.watch.warnings(),
             *core.line.warnings(),
             *core.storage.warnings(),
+            *readiness.ptp_warnings(core.health, config.cameras),
             *_address_warnings(config),
             *flat_field_warnings(config, order.setup.lights if order is not None else ()),
             *worker_warnings(processes),
@@ -181,6 +183,7 @@ def _cameras(core: Core, config: StationConfig) -> tuple[CameraStatus, ...]:
             last_frame_age_s=None if seen.last_frame_s is None else max(health.host_time_s - seen.last_frame_s, 0.0),
             next_try=None if seen.next_try_s is None else utc_of_host(seen.next_try_s),
             recovery=_recovery(seen.recovery),
+            ptp=_ptp(seen.ptp),
             counters=dict(seen.counters),
             lost_since=core.lost_since.get(k),
             link=config.cameras[k].link or "",
@@ -198,6 +201,14 @@ def _recovery(seen: CameraRecovery | None) -> CameraRecoveryStatus | None:
     if seen is None:
         return None
     return CameraRecoveryStatus.model_validate({"step": seen.step, "why": seen.why, "at": utc_of_host(seen.at_s)})
+
+
+def _ptp(seen: CameraPtp | None) -> CameraPtpStatus | None:
+    if seen is None:
+        return None
+    return CameraPtpStatus(
+        state=seen.state, synchronised=seen.synchronised, offset_ns=seen.offset_ns, apart_us=seen.apart_s * 1e6
+    )
 
 
 def _retention(config: StationConfig) -> Retention:

@@ -142,6 +142,19 @@ class CameraRecoveryStatus(Strict):
     at: str
 
 
+class CameraPtpStatus(Strict):
+    """What a camera with `ptp` states of its clock, at most 5 s ago."""
+
+    state: str
+    """By IEEE 1588: `Listening`, `Uncalibrated`, `Slave`, `Master` …; empty if the camera does not state it."""
+    synchronised: bool
+    """Whether that is `Slave` or `Master`."""
+    offset_ns: int | None = None
+    """Its clock minus that of its master, if it states that."""
+    apart_us: float = 0.0
+    """By how much its clock certainly differs from those of most other cameras with PTP; 0 within the bounds."""
+
+
 class CameraStatus(Strict):
     """State of one camera at the last heartbeat of the acquisition process."""
 
@@ -159,6 +172,8 @@ class CameraStatus(Strict):
     """Time of the next attempt to open the camera; None while the camera is connected or being opened."""
     recovery: CameraRecoveryStatus | None = None
     """Present until the camera has sent a frame again."""
+    ptp: CameraPtpStatus | None = None
+    """Present with `ptp = true` while it is connected."""
     counters: dict[str, int] = {}  # noqa: RUF012  pydantic copies it
     """Counters of the camera's driver for diagnosis, with the names that the driver uses."""
     serial: str = ""

@@ -23,6 +23,7 @@ from vaoi_station.acquisition.cameras.interface import (
     CameraExposure,
     CameraLimits,
     CameraLost,
+    CameraPtp,
     Slot,
 )
 from vaoi_station.acquisition.clocks import ClockReading
@@ -86,6 +87,14 @@ class StandInConnection:
 
     def start(self, on_slot: Callable[[SlotResult], None]) -> None:
         self.on_slot = on_slot
+
+    ptp: CameraPtp | None = None
+
+    def read_ptp(self) -> None:
+        """Do nothing: it has no PTP."""
+
+    def await_ptp(self, _closing: threading.Event) -> None:
+        """Do nothing: it has no PTP."""
 
     def read_clock(self, epoch_ns: int) -> ClockReading:
         if self.error is not None:

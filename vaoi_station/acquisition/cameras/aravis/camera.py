@@ -232,6 +232,7 @@ class AravisCamera:
             serial=self._identity.serial,
             model=self._identity.model,
             address=self._identity.address,
+            ptp=replace(connection.ptp, epoch_ns=self._epoch_ns) if connection and connection.ptp else None,
         )
 
     def threads(self) -> tuple[SupervisedThread, ...]:
@@ -283,6 +284,7 @@ class AravisCamera:
                 with self._setting:
                     self._bring_up_to_date(self._connection)
                 if time.monotonic() >= temperature_due_s:
+                    self._connection.read_ptp()
                     self._temperature_c = self._connection.temperature_c()
                     temperature_due_s = time.monotonic() + TEMPERATURE_S
             except DeviceError as error:
@@ -409,13 +411,18 @@ class AravisCamera:
             with self._thread.waiting():
                 OPENING_LOCK.acquire()  # a camera that hangs while it is opened is reported by its own supervisor
             try:
-                connection, reading = self._connect()
+                connection = self._connect()
             finally:
                 OPENING_LOCK.release()
         except VaoiError as error:
             self._fault = _detached(error)
             return False
         try:
+            self._thread.beat()
+            connection.await_ptp(self._closing)
+            if not self._epoch_ns:  # it was never open before
+                self._epoch_ns = _epoch_ns(connection)
+            reading = connection.read_clock(self._epoch_ns)
             # Exposure or gain may have been set while the camera was opened with the values of before. Slots follow
             # them: no frame of a board may have those values.
             with self._setting:
@@ -433,7 +440,7 @@ class AravisCamera:
         self._last_reply_s = self._last_controlled_s = time.monotonic()
         return True
 
-    def _connect(self) -> tuple[Connection, ClockReading]:
+    def _connect(self) -> Connection:
         # All objects are built anew: with the old ones `start_acquisition` raises nothing after a reconnection, and no
         # frame arrives (measured, Aravis 0.8.26; camera_aravis2 #41 and Aravis #735 report failures there).
         connection = Connection(self.config, self._locate(), self._sequence, self._share)
@@ -441,9 +448,6 @@ class AravisCamera:
             # Empty: a camera that was never there is known by its address only.
             connection.require_serial(self._identity.serial)
             connection.configure()
-            if not self._epoch_ns:  # it was never open before
-                self._epoch_ns = _epoch_ns(connection)
-            reading = connection.read_clock(self._epoch_ns)
             connection.start(self._on_slot)
         except BaseException:  # also KeyboardInterrupt: release the camera, then raise it again
             connection.close()
@@ -451,7 +455,7 @@ class AravisCamera:
         with self._setting:
             if self._identity.serial in ("", connection.identity.serial):  # not exchanged meanwhile
                 self._identity, self._is_gige = connection.identity, connection.is_gige
-        return connection, reading
+        return connection
 
     def _locate(self) -> str:
         """Return the camera's last address if it replies there, else the address found by its serial number."""
@@ -482,6 +486,7 @@ def open_aravis_cameras(config: StationConfig) -> tuple[AravisCamera, ...]:
             _each(members, Connection.configure)
             # Shared again: a camera may keep a lower limit than its share.
             _share_links(config, members)
+            _each(members, Connection.await_ptp)
             for connection in _open(members):
                 _log.info("%s", connection.link_text())
             for number, member in enumerate(members):

@@ -24,7 +24,7 @@ from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.cameras.aravis.sequencer import Sets
 from vaoi_station.acquisition.cameras.aravis.settings import Setting, error_text
 from vaoi_station.acquisition.cameras.aravis.stream import ChunkReader, FrameFormat, SlotResult, SlotStream
-from vaoi_station.acquisition.cameras.interface import CameraLimits
+from vaoi_station.acquisition.cameras.interface import CameraLimits, CameraPtp
 from vaoi_station.acquisition.clocks import ClockReading, timed_reading
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError, InputError, VaoiError
@@ -170,6 +170,9 @@ USB3_MIN_VERSION = (0, 8, 30)
 # 0.8.30 sets the status of a buffer before the buffer is passed on.
 RETENTION_US = 200_000
 # Aravis' default of 100 ms lost the first frames after a pause (Aravis #818, #746).
+PTP_LIMIT_S, PTP_PAUSE_S = 20.0, 0.2
+"""Longest wait for a PTP master, and pause between two questions. A camera listens for 6 s by default, as announcements
+come every 2 s and three may be lost, and is then calibrated."""
 RESTART_PAUSE_S = 0.2
 """Pause between stop and start of an acquisition that is to begin anew."""
 SLOWER = 1.05
@@ -224,10 +227,12 @@ class Connection:
         self._limit_mbit_s: float | None = None
         self._route_trouble = network.route_trouble(where) if self.is_gige else ""
         self.limits = CameraLimits()
+        self.ptp: CameraPtp | None = None
+        """What the camera has stated last; None without `ptp`."""
+        self._clock_ns: Callable[[], int] | None = None
         self.granted_bytes = 0
         with self._device_access("does not report its identity"):
             self.identity = self._identity(where)
-            self._clock_ns: Callable[[], int] | None = find_clock(self._camera, config.label)
             self._thermometer = self._camera.get_device().is_feature_available("DeviceTemperature")
 
     def require_serial(self, serial: str | None) -> None:
@@ -274,6 +279,9 @@ class Connection:
             self.measure_link()
         with self._device_access("does not take its settings"), self._noticing_restarts():
             self._doubtful_colours = settings.apply(self._camera, self.config)
+            # Now, as PTP may change the unit in which the clock counts (Teledyne DALSA: "changes depending on the
+            # Timestamp Source").
+            self._clock_ns = find_clock(self._camera, self.config.label)
             if self.config.chunk_room_bytes:
                 sequencer.switch_chunks_on(self._camera, self.config)
             if self.sequence:
@@ -383,6 +391,26 @@ class Connection:
             clock_ns = self._clock_ns
             assert clock_ns is not None
             return timed_reading(lambda: (clock_ns() - epoch_ns) * 1e-9)
+
+    def await_ptp(self, closing: threading.Event | None = None) -> None:
+        """Wait until the clock of a camera with `ptp` is that of a master; go on without it after `PTP_LIMIT_S`."""
+        # Clocks are set to a master's time before the camera says so. After that, a board would lose frames by it.
+        closing, until_s = closing or threading.Event(), time.monotonic() + PTP_LIMIT_S
+        self.read_ptp()
+        while self.ptp and not self.ptp.synchronised and time.monotonic() < until_s and not closing.wait(PTP_PAUSE_S):
+            self.read_ptp()
+        if self.ptp and not self.ptp.synchronised and not closing.is_set():
+            text = "%s: its clock follows no PTP master after %.0f s (state %s); it films with its own clock"
+            _log.warning(text, self.config.label, PTP_LIMIT_S, self.ptp.state or "not stated")
+
+    def read_ptp(self) -> None:
+        """Ask a camera with `ptp` for its state. Raise DeviceError if it does not reply."""
+        if not self.config.ptp:
+            return
+        with self._device_access("does not report its PTP"):
+            before, self.ptp = self.ptp, settings.ptp_of(self._camera)
+        if before is None or before.state != self.ptp.state:
+            _log.info("%s: PTP state %s", self.config.label, self.ptp.state or "not stated")
 
     def temperature_c(self) -> float | None:
         """Return the camera's temperature; None if the camera has no thermometer."""

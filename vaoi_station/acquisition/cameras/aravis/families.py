@@ -65,8 +65,6 @@ MODES = (
     Neutral(
         ("AcquisitionBurstFrameCount", "TriggerFrameCount", "triggerFrameCount"), 1, "one pulse would give many frames"
     ),
-    # PTP, under its names in SFNC 2, GigE Vision and AVT_Manta_G507B: the station fits every clock by itself.
-    Neutral(("PtpEnable", "GevIEEE1588", "PtpMode"), OFF, "the camera's clock might jump"),
     Neutral(("DeviceScanType",), ("Areascan", "AreaScan"), "lines instead of frames would be sent"),
     Neutral(
         (
@@ -87,6 +85,18 @@ MODES = (
     ),
 )
 """Modes that lock or overwrite other features; they come first."""
+
+_PTP_SWITCHES = ("PtpEnable", "GevIEEE1588")
+PTP = (*_PTP_SWITCHES, "PtpMode")
+"""PTP under its names in SFNC 2, in GigE Vision, and in AVT_Manta_G507B."""
+PTP_OFF = (Neutral(PTP, OFF, "the camera's clock might jump"),)
+_NO_PTP = "the camera's clock would follow no PTP master"
+PTP_ON = (Neutral(_PTP_SWITCHES, ON, _NO_PTP), Neutral(("PtpMode",), ("Auto", "Slave"), _NO_PTP))
+PTP_LATCHES = ("PtpDataSetLatch", "GevIEEE1588DataSetLatch")
+"""Commands after which the values below are those of now: Basler-a2A2600-20gmBAS; Basler-acA2440-20gm."""
+PTP_STATES = ("PtpStatus", "GevIEEE1588Status")
+PTP_OFFSETS = ("PtpOffsetFromMaster", "GevIEEE1588OffsetFromMaster", "GevIEEE1588OffsetFromMasterLatched")
+"""The camera's clock minus that of its master, ns. The last one: FLIR-BFS-PGE-50S4C."""
 
 GEOMETRY = (
     # Basler-acA2040-35gm; Basler-a2A2600-20gmBAS; PGR_BlackflyS_16S2C.

@@ -19,7 +19,12 @@ from vaoi_station.acquisition.cameras.aravis import families
 from vaoi_station.acquisition.cameras.aravis.families import Neutral, Wanted
 from vaoi_station.acquisition.cameras.aravis.features import At, Features, Value, answered
 from vaoi_station.acquisition.cameras.aravis.library import glib_error
-from vaoi_station.acquisition.cameras.interface import GAIN_TOLERANCE_DB, CameraLimits, exposure_tolerance_us
+from vaoi_station.acquisition.cameras.interface import (
+    GAIN_TOLERANCE_DB,
+    CameraLimits,
+    CameraPtp,
+    exposure_tolerance_us,
+)
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
 
@@ -253,7 +258,7 @@ def deviations(control: Control, config: CameraConfig) -> Iterator[tuple[Setting
         line = trigger_line(config, control.vendor, control.features.entries("TriggerSource"))
         entries = {"TriggerSelector": tuple(entry for _, entry in at), "LineSelector": (line,)}
         named = {feature for feature, _ in config.named_features}
-        for setting, got in _neutral(control, (*BEFORE_FORMAT, *families.PICTURE, *AT_THE_TRIGGER), entries):
+        for setting, got in _neutral(control, (*_before_format(config), *families.PICTURE, *AT_THE_TRIGGER), entries):
             if not setting.matches(got) and setting.feature not in named:
                 yield setting, got
     finally:
@@ -288,6 +293,25 @@ def limits_of(camera: Any) -> CameraLimits:
     return CameraLimits(exposure, gain, sets)
 
 
+def has_ptp(features: Features) -> bool:
+    """Return whether a camera has PTP (IEEE 1588)."""
+    return any(map(features.has, families.PTP))
+
+
+def ptp_of(camera: Any) -> CameraPtp:
+    """Return what a camera states of its PTP now."""
+    features = Features(camera)
+    for command in filter(features.has, families.PTP_LATCHES):
+        with answered():
+            features.execute(command)
+    state, offset_ns = "", None
+    with answered():
+        state = next((str(features.read(name)) for name in families.PTP_STATES if features.has(name)), "")
+    with answered():
+        offset_ns = next((int(features.read(name)) for name in families.PTP_OFFSETS if features.has(name)), None)
+    return CameraPtp(state, offset_ns)
+
+
 def error_text(error: Exception) -> str:
     """Return the message of a GLib error without its domain."""
     return str(getattr(error, "message", error)).rstrip(".")
@@ -296,8 +320,11 @@ def error_text(error: Exception) -> str:
 # --- the settings, in the order in which they are written
 
 
-BEFORE_FORMAT = (*families.MODES, *families.GEOMETRY)
 AT_THE_TRIGGER = (*families.ON_THE_LINE, *families.ON_THE_TRIGGER)
+
+
+def _before_format(config: CameraConfig) -> tuple[Neutral, ...]:
+    return (*families.MODES, *(families.PTP_ON if config.ptp else families.PTP_OFF), *families.GEOMETRY)
 
 
 def _load_user_set(control: Control, config: CameraConfig) -> None:
@@ -332,7 +359,13 @@ def _known_start(control: Control, config: CameraConfig) -> Iterator[Setting]:
     features.select(trigger)
     if features.has("AcquisitionMode"):
         yield from _put(control, [Setting("AcquisitionMode", "Continuous")])
-    yield from _neutralised(control, BEFORE_FORMAT)
+    if config.ptp and not has_ptp(features):
+        raise DeviceError(
+            f"{control.name}: cannot follow a PTP master: it has none of {', '.join(families.PTP)}.",
+            action="Remove ptp = true of this camera from station.toml: the station compares its clock itself.",
+            code="feature-absent",
+        )
+    yield from _neutralised(control, _before_format(config))
     yield from _put(control, _format_and_region(control, config))
     yield from _neutralised(control, families.PICTURE)
     _require_global_shutter(control, put=True)

@@ -63,6 +63,7 @@ class Card {
     const facts = [
       ...(camera.serial ? [[words.serial, `${camera.serial} ${camera.model}`.trim()]] : []),
       ...(camera.temperature_c == null ? [] : [[words.temperature, `${number(camera.temperature_c, 1)} °C`]]),
+      ...(camera.ptp ? [[words.ptp, texts.cameras.ptp(camera.ptp)]] : []),
       [words.delivered, number(camera.delivered)],
       [words.incomplete, number(camera.incomplete)],
       ...counters.map(([name, value]) => [name, number(value)]),

@@ -196,8 +196,11 @@ const cameras = {
   tooBright: (share) => `Zu hell: ${share} der Pixel sind gesättigt (Grenze 0,5 %).`,
   tooDark: (share) => `Dunkel: 99 % der Pixel liegen unter ${share} (mindestens 35 %).`,
   soft: (n) => `Unscharf in ${n} von 9 Teilen: Objektiv scharf stellen; ist nur eine Seite unscharf, steht die Kamera schief.`,
+  ptp: ({ state, synchronised, offset_ns, apart_us }) => [
+    synchronised ? state : `kein Master (${state || "Zustand unbekannt"})`, offset_ns == null ? "" : `${number(offset_ns / 1000, 1)} µs zu ihrem Master`, apart_us ? `${number(apart_us / 1000, 1)} ms zu den anderen Kameras` : "",
+  ].filter(Boolean).join(", "),
   facts: {
-    serial: "Kamera", temperature: "Temperatur", delivered: "Bilder geliefert", incomplete: "Bilder unvollständig", link: "Datenrate, letzte Baugruppe", drift: "Lage",
+    serial: "Kamera", temperature: "Temperatur", ptp: "Uhr über PTP", delivered: "Bilder geliefert", incomplete: "Bilder unvollständig", link: "Datenrate, letzte Baugruppe", drift: "Lage",
     exposure: "Belichtung", gain: "Verstärkung", light: "Licht",
   },
   drifted: (size, since) => `bewegt um ${size} px seit ${since}`,
@@ -730,6 +733,7 @@ const settings = {
     "cameras[].link": "Name einer Leitung vor dem Netzanschluss, die sich mehrere Kameras teilen, etwa der eines Switches; bei ihnen derselbe Name.",
     "cameras[].link_mbit_s": "Geschwindigkeit dieser Leitung, ohne sie die des Netzanschlusses; leer: die gemeldete.",
     "cameras[].user_set": "Benutzersatz der Kamera, der vor allen Einstellungen geladen wird; \"keep\" lässt alles, was in der Kamera ist.",
+    "cameras[].ptp": "Ob die Uhr der Kamera einem PTP-Master folgt (IEEE 1588); sonst wird PTP abgeschaltet.",
     "cameras[].features": "Weitere Einstellungen mit GenICam-Namen, in dieser Reihenfolge vor dem Trigger geschrieben: eine Tabelle oder, um einen Wähler mehrmals zu stellen, eine Liste von Tabellen.",
     "cameras[].nominal_center_mm": "Sollmitte des Bildfelds in Testerkoordinaten; das Kalibrieren braucht sie auf wenige mm.",
     "cameras[].nominal_px_per_mm": "Sollauflösung auf dem Band; das Kalibrieren braucht sie.",
@@ -1006,6 +1010,8 @@ const findings = {
   ],
 
   // Netz und USB
+  "ptp-not-synchronised": ["Die Uhr einer Kamera folgt keinem PTP-Master. Aufgenommen wird trotzdem, die Station vergleicht die Uhr selbst.", "PTP-Master und Switches prüfen, oder ptp = false für diese Kamera setzen."],
+  "ptp-clocks-apart": ["Die Uhr einer Kamera weicht von denen der anderen Kameras mit PTP ab. Aufgenommen wird trotzdem, die Station vergleicht jede Uhr selbst.", "PTP-Master und Switches prüfen, oder ptp = false für diese Kamera setzen."],
   "address-absent": ["Keine Netzschnittstelle hat die Adresse aus api.host.", "Kabel und Netz prüfen."],
   "aravis-absent": ["Die Bibliothek der Kameras ist nicht zu gebrauchen.", "Die Pakete installieren, die der Satz der Station nennt."],
   "aravis-old": [({ aravis }) => `Aravis ${aravis} ist mit USB3-Kameras unzuverlässig.`, "GigE-Kameras mit ihrer Adresse benennen; für USB3 Aravis ab 0.8.30 verwenden (Debian 13)."],
@@ -1048,7 +1054,7 @@ const findings = {
   "description-wrong": ["Die Beschreibung dieser Kamera ist nicht zu lesen oder widerspricht sich.", "Aus- und einschalten; hilft das nicht, ihre Firmware erneuern oder eine andere Kamera verwenden."],
   "gain-unknown": ["Wie viele dB die Verstärkung dieser Kamera hat, ist nicht bekannt.", "gain_db = 0 in station.toml, und GainRaw unter features."],
   "rolling-shutter": ["Diese Kamera belichtet ihre Zeilen nacheinander.", "Eine Kamera mit Global Shutter verwenden."],
-  "clock-jumped": ["Die Uhr einer Kamera ist gesprungen.", "Abschalten, was die Uhr stellt (PTP, IEEE 1588, ein anderes Programm); die Stromversorgung prüfen."],
+  "clock-jumped": ["Die Uhr einer Kamera ist gesprungen.", "Suchen, was die Uhr stellt (ein PTP-Master, der kam oder ging, ein anderes Programm); die Stromversorgung prüfen."],
 
   // Steuerung
   "clock-unknown": ["Die Uhr eines Geräts ist nicht zu lesen, oder nicht genau genug.", "Ohne Hub anschließen; als Verwalter: install -m 644 deploy/71-vaoi-controller.rules /etc/udev/rules.d/"],
