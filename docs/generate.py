@@ -1,4 +1,5 @@
-"""Write the generated pages of docs/reference: addresses of REST, commands, keys of station.toml, modules.
+"""Write the generated pages of docs/reference: addresses of REST, commands, keys of station.toml, modules,
+tables of a plant.
 
 python docs/generate.py           # after a change of the interface, the command line or the configuration
 python docs/generate.py --check   # ends with 1 if a page is outdated (tests/project does the same)
@@ -18,6 +19,7 @@ import typer.main
 
 from vaoi_station.api.access import scope_needed
 from vaoi_station.cli import app
+from vaoi_station.plant.tables import KEY, TABLES
 from vaoi_station.settings.keys import Setting, keys
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -66,6 +68,12 @@ MODULES_HEAD = """# Modules
 Each with the first sentence of its docstring, from the bottom of the import order to its top where a contract of
 pyproject.toml states one: a module may import what stands above it. How they work together:
 [architecture](../architecture.md).
+"""
+TABLES_HEAD = """# Tables of a plant
+
+`OUT/tables/TABLE/part-NNNNN.parquet`, which `vaoi restitch` writes, sorted by station, day and run. Every table has
+both results of a run, distinguished by the column `result`. Null stands for what a result does not state. The schema,
+with the meaning of each column, is in the files as well. How to ask them: [plant](../plant.md#questions).
 """
 EXAMPLE_LINES, EXAMPLE_WIDTH = 16, 110
 
@@ -293,9 +301,20 @@ def modules() -> str:
     return HEAD + "\n".join(lines).rstrip() + "\n"
 
 
+def tables() -> str:
+    """Return the page of the tables that `vaoi restitch` writes."""
+    lines = [TABLES_HEAD]
+    shared = [column.name for column in KEY]
+    lines += _table(("column of every table", "kind", "meaning"), KEY)
+    for name, columns in TABLES.items():
+        lines += [f"## {name}\n"]
+        lines += _table(("column", "kind", "meaning"), (column for column in columns if column.name not in shared))
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
-    made = {"addresses": addresses, "commands": commands, "modules": modules, "settings": settings}
+    made = {"addresses": addresses, "commands": commands, "modules": modules, "settings": settings, "tables": tables}
     return {PAGES / f"{name}.md": make() for name, make in made.items()}
 
 

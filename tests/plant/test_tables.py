@@ -20,13 +20,6 @@ from vaoi_station.plant.tables import TABLES, RunKey, Tables, arrow_schema, resu
 DOCUMENT = Path(__file__).parents[2] / "docs" / "plant.md"
 
 
-@pytest.mark.parametrize("table", TABLES)
-def test_the_document_lists_every_column(table: str) -> None:
-    lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
-    for column in TABLES[table]:
-        assert f"| `{table}` | `{column.name}` | {column.kind} | {column.meaning} |" in lines
-
-
 KEY = RunKey("line 1", "r1", "2026-11-23T10:00:00Z", "small", "B1")
 
 

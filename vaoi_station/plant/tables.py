@@ -29,7 +29,7 @@ class Column(NamedTuple):
     meaning: str
 
 
-_KEY = (
+KEY = (
     Column("station", "text", "station that filmed the run"),
     Column("run", "text", "id of the run"),
     Column("time", "time", "begin of the run, UTC"),
@@ -40,7 +40,7 @@ _KEY = (
 
 TABLES: dict[str, tuple[Column, ...]] = {
     "runs": (
-        *_KEY,
+        *KEY,
         Column("board_id", "text", "id of the board, if the station knew it"),
         Column("status", "text", "verdict: `ok`, `degraded` or `failed`"),
         Column("reason_codes", "texts", "codes of the reasons of the verdict"),
@@ -56,7 +56,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("speed_mm_s", "real", "measured speed of the belt"),
     ),
     "rows": (
-        *_KEY,
+        *KEY,
         Column("row", "whole", "row, from 0"),
         Column("x_mm", "real", "displacement of the board's pivot since row 0, x"),
         Column("y_mm", "real", "the same, y"),
@@ -64,7 +64,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("sigma_px", "real", "σ of the positions in the row"),
     ),
     "cameras": (
-        *_KEY,
+        *KEY,
         Column("camera", "whole", "camera, from 0"),
         Column("x_px", "real", "estimated displacement since the calibration, x, in the middle of the frame"),
         Column("y_px", "real", "the same, y"),
@@ -77,20 +77,20 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("px_per_mm", "real", "resolution in the middle of the frame"),
     ),
     "seams": (
-        *_KEY,
+        *KEY,
         Column("camera", "whole", "one camera of the overlap"),
         Column("other_camera", "whole", "the other one"),
         Column("residual_px", "real", "median residual of the links between both"),
     ),
     "fiducials": (
-        *_KEY,
+        *KEY,
         Column("name", "text", "name of the fiducial"),
         Column("sightings", "whole", "number of frames in which it was detected"),
         Column("x_px", "real", "residual, x; null: the fiducial was not used"),
         Column("y_px", "real", "the same, y"),
     ),
     "components": (
-        *_KEY,
+        *KEY,
         Column("component", "text", "address: reference, on a panel `panel/reference`"),
         Column("package", "text", "package, as the board type names it"),
         Column("x_mm", "real", "place of the centre, tester coordinates: C of the CAD place, not measured in pictures"),
@@ -107,7 +107,7 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("status", "text", "verdict of the run"),
     ),
     "views": (
-        *_KEY,
+        *KEY,
         Column("component", "text", "address of the component"),
         Column("camera", "whole", "camera of the frame"),
         Column("row", "whole", "row of the frame"),
