@@ -30,8 +30,8 @@ class Site:
 
 
 MEASURES = (
-    '{"format":"vaoi-parts","version":1,"board_type":"small","good_boards":["r"],"remarks":[],'
-    '"parts":{"R1":{"presence":0.9,"frames":4,"boards":1,"reasons":[]}},"reason_texts":{}}'
+    '{"format":"vaoi-parts","version":1,"board_type":"small","good_boards":["r"],"remarks":[],"remark_codes":[],"remark_values":[],'
+    '"parts":{"R1":{"presence":0.9,"frames":4,"boards":1,"reasons":[],"marked":[]}},"reason_texts":{}}'
 )
 
 

@@ -22,10 +22,14 @@ from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundErro
 from vaoi_station.files import open_recording, read_board_type, read_calibration, read_stitch
 from vaoi_station.files.directories import remove_directory
 from vaoi_station.files.images import encode_tiff
-from vaoi_station.model import Reason, Status
+from vaoi_station.model import BoardType, Reason, Status
 from vaoi_station.model.board_identity import IdentityDocument
+from vaoi_station.parts.learned import TaughtBoard, read_taught_board
+from vaoi_station.parts.patches import Grid, ViewClass, kind_of
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
+from vaoi_station.runs.archive.measured_parts import DIRECTORY as GOOD_BOARDS
+from vaoi_station.runs.archive.measured_parts import good_file
 from vaoi_station.runs.archive.recordings import Recordings
 from vaoi_station.runs.states import run_ids
 from vaoi_station.runs.states.schemas import RunDetail
@@ -183,6 +187,39 @@ def test_a_run_with_frames_is_part_of_the_history_of_another_station(
     assert recordings.frame_file(site.degraded, 1, 2) is not None
     assert other.store.retention.pinned(site.degraded)
     assert [path.name for path in other.config.data.glob(".*")] == []
+
+
+def good_board(board_type: BoardType, name: str) -> TaughtBoard:
+    """Return a good board with a grey picture of each part."""
+    kinds = sorted({kind_of(part, board_type) for part in board_type.components})
+    of_kind = tuple(tuple(p.address for p in board_type.components if kind_of(p, board_type) == k) for k in kinds)
+    patches = tuple(np.full((len(some), 1, 4, 4), 9, np.uint8) for some in of_kind)
+    heights = tuple(np.full((len(some), 3), np.nan, np.float32) for some in of_kind)
+    grids = tuple(Grid(kind, 4, 4, 10.0, (2.0, 2.0)) for kind in kinds)
+    return TaughtBoard(name, "parts", "camera", (ViewClass("ring", 100.0),), grids, of_kind, patches, heights)
+
+
+def test_a_good_board_is_one_of_the_station_that_imports_it(
+    site: Site, other: Other, exported: Callable[[str], Path]
+) -> None:
+    board_type = site.rig.coordinator.board_type("small")
+    here, there = (good_file(s.data / GOOD_BOARDS, "small", site.degraded) for s in (site.rig.config, other.config))
+    good_board(board_type, site.degraded).write(here)
+    package = exported(site.degraded)
+    good_board(board_type, "another").write(here)
+    for content, said in (
+        (b"PK", "changed: good.parts: is no file of a taught board"),
+        (here.read_bytes(), "'another'"),
+    ):
+        wrong = rewritten(package, added={"good.parts": content})
+        with pytest.raises(InputError, match=said):
+            import_into_history(wrong, other.config_path)
+        wrong.unlink()
+    assert not there.exists()
+    imported = import_into_history(package, other.config_path)
+    assert (imported.good, imported.with_frames) == (True, True)
+    assert read_taught_board(there).name == site.degraded
+    assert not (other.config.data / "recordings" / site.degraded / "good.parts").exists()
 
 
 def test_an_imported_run_is_no_board_of_this_line(site: Site, other: Other, exported: Callable[[str], Path]) -> None:

@@ -205,7 +205,9 @@ def import_exported_run(file: Path, out: Path | None, config: Path | None) -> No
         imported = import_into_history(file, config)
         frames = "with frames" if imported.with_frames else "without frames"
         origin = imported.detail.origin
-        typer.echo(f"{config}: run {imported.detail.id} of {origin.station if origin else ''!r}, {frames}, pinned")
+        good = ", a good board" if imported.good else ""
+        station = origin.station if origin else ""
+        typer.echo(f"{config}: run {imported.detail.id} of {station!r}, {frames}, pinned{good}")
         return
     assert out is not None, "one of the two is given"
     detail = import_run(file, out)

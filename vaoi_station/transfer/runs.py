@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sqlite3
 import tempfile
@@ -19,11 +20,21 @@ from pydantic import BaseModel
 
 from vaoi_station.config import KeepConfig, read_config
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError
-from vaoi_station.files.directories import new_directory, refuse_existing, remove_directory, size_below
-from vaoi_station.files.documents import parse, read_json, read_text
+from vaoi_station.files.directories import (
+    make_directories,
+    new_directory,
+    refuse_existing,
+    remove_directory,
+    size_below,
+)
+from vaoi_station.files.documents import parse, read_json, read_text, write_bytes
 from vaoi_station.files.recordings import open_recording
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
+from vaoi_station.model.board_type import STORED_NAME
+from vaoi_station.parts.learned import ENDING, read_taught_board
+from vaoi_station.runs.archive.measured_parts import DIRECTORY as GOOD_BOARDS
+from vaoi_station.runs.archive.measured_parts import good_file
 from vaoi_station.runs.archive.recordings import DIRECTORY as RECORDINGS
 from vaoi_station.runs.archive.recordings import DISK_RESERVE, RESULT_FILE, RUN_FILE
 from vaoi_station.runs.archive.recordings import HEAD_FILE as RECORDING_FILE
@@ -33,6 +44,7 @@ from vaoi_station.runs.run.verdict import RunVerdict, identified
 from vaoi_station.runs.states.run_ids import assigned_s, is_run_id, utc
 from vaoi_station.runs.states.schemas import HeightList, Origin, PartsDocument, RunDetail, Timeline
 from vaoi_station.runs.states.tables import RunState
+from vaoi_station.runs.workers.parts_jobs import MOST_GOOD
 from vaoi_station.store.documents import digest_of, write_identity
 from vaoi_station.store.retention import MOST_PINS
 from vaoi_station.store.schema import packed, unpacked
@@ -42,7 +54,7 @@ from vaoi_station.version import __version__
 
 KIND = "vaoi-run"
 TIMELINE_FILE, HEIGHTS_FILE, IDENTITY_FILE, HEAD_FILE = "timeline.json", "heights.json", "identity.json", "head.json"
-PARTS_FILE = "parts.json"
+PARTS_FILE, GOOD_FILE = "parts.json", f"good{ENDING}"
 CONFIGURATION_FILE, CALIBRATION_FILE, BOARD_FILE = "configuration.json", "calibration.json", "board.json"
 
 
@@ -62,6 +74,8 @@ def export_run(config_path: Path, run: str, out: Path) -> bool:
         detail = _detail(database, run)
         recorded = (recording / "recording.json").is_file()
         documents = dict(_documents(database, detail))
+        if (good := good_file(config.data / GOOD_BOARDS, detail.board_type, run)).is_file():
+            documents[GOOD_FILE] = good.read_bytes()
         # The record of the database is the newer one: it has the state of the frames.
         frames = ((name, file) for name, file in open_files(recording) if name not in documents) if recorded else ()
         about = {"run": run, "station": config.name, "made": utc(), "software": __version__, "frames": recorded}
@@ -129,10 +143,11 @@ M = TypeVar("M", bound=BaseModel)
 
 @dataclass(frozen=True)
 class ImportedRun:
-    """A run that was put into a history, and whether its frames are there as a recording."""
+    """A run that was put into a history; whether it has its frames as a recording, and is a good board."""
 
     detail: RunDetail
     with_frames: bool
+    good: bool
 
 
 @dataclass(frozen=True)
@@ -149,6 +164,8 @@ class _Content:
     parts: str | None
     identity: IdentityDocument | None
     configuration: str | None
+    good: bytes | None
+    """What is kept of a good board."""
     frames_bytes: int
     """Size of the recording; 0 if the package has no frames."""
 
@@ -157,7 +174,7 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
     """Put an exported run into the history of a station, pinned and with its origin marked.
 
     The run is not announced: `runs/next` and `runs/latest` never return it. Its frames, if the package has them, become
-    a recording of the station.
+    a recording of the station. A good board is one of the station's, too, if its type does not have too many.
 
     Raises:
         InputError: the package is damaged or of another kind, the history has the run already, or no station was
@@ -172,6 +189,9 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
         folder = Path(scratch)
         manifest = unpack_package(package, KIND, folder, spare_bytes=DISK_RESERVE)
         content = _Unpacked(package, folder).content(manifest)
+        (folder / GOOD_FILE).unlink(missing_ok=True)
+        good = good_file(config.data / GOOD_BOARDS, content.detail.board_type, content.detail.id)
+        is_good = content.good is not None and len([*good.parent.glob(f"*{ENDING}")]) < MOST_GOOD
         target = recordings / content.detail.id
         with_frames = content.frames_bytes > 0 and not target.exists()
         if with_frames:
@@ -188,7 +208,10 @@ def import_into_history(package: Path, config_path: Path) -> ImportedRun:
                 if with_frames:
                     remove_directory(target)
                 raise
-    return ImportedRun(content.detail, target.exists())
+        if content.good is not None and is_good:
+            make_directories(good.parent)
+            write_bytes(good, content.good)
+    return ImportedRun(content.detail, target.exists(), is_good)
 
 
 @dataclass(frozen=True)
@@ -211,7 +234,7 @@ class _Unpacked:
             )
         calibration, board_type = self._text(CALIBRATION_FILE), self._text(BOARD_FILE)
         known, head = self._document(Calibration, CALIBRATION_FILE), self._document(RecordingHead, HEAD_FILE)
-        self._document(BoardType, BOARD_FILE)
+        of_type = self._document(BoardType, BOARD_FILE)
         self._refuse_other_digest(CALIBRATION_FILE, calibration, detail.calibration)
         if detail.made_with is not None:
             self._refuse_other_digest(BOARD_FILE, board_type, detail.made_with.board_type)
@@ -250,6 +273,7 @@ class _Unpacked:
             None if parts is None else self._stored(parts, PARTS_FILE, exclude_none=True),
             identity,
             configuration,
+            self._good(detail.id, of_type) if self._has(GOOD_FILE) else None,
             size,
         )
 
@@ -260,6 +284,21 @@ class _Unpacked:
         changed = {"origin": origin, "stored": True, "pinned": False, "recording": False}
         marked = in_state(detail, RunState.GONE).model_copy(update=changed)
         return identified(marked, RunVerdict(marked.verdict, marked.reasons), identity)
+
+    def _good(self, run: str, board_type: BoardType) -> bytes:
+        """Return what is kept of a good board; it is one of later comparisons, and must be of this run and type."""
+        path = self.folder / GOOD_FILE
+        try:
+            board = read_taught_board(path)
+        except InputError as error:
+            named = error.message.replace(str(path), f"{self.package}: {GOOD_FILE}")
+            raise InputError(named, action=_AGAIN) from error
+        if board.name != run or not board.is_of(board_type) or not re.fullmatch(STORED_NAME, board_type.name):
+            raise InputError(
+                f"{self.package}: its {GOOD_FILE} is of run {board.name!r}, or not of board type {board_type.name!r}.",
+                action=_AGAIN,
+            )
+        return path.read_bytes()
 
     def _has(self, name: str) -> bool:
         return (self.folder / name).is_file()

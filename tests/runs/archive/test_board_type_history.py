@@ -28,7 +28,8 @@ def test_a_deleted_board_type_is_restored(directory: BoardTypeDirectory) -> None
         sources.append(source)
         return directory.put(board_type)
 
-    history = BoardTypeHistory(directory, put)
+    returned: list[str] = []
+    history = BoardTypeHistory(directory, put, returned.append)
     directory.put(board(1))
     directory.put(board(2))
     directory.delete("b")
@@ -39,5 +40,8 @@ def test_a_deleted_board_type_is_restored(directory: BoardTypeDirectory) -> None
     assert history.restore("b", found[1].id) == board(1) == directory.get("b")
     assert sources == [f" by its version {found[1].id}"]
     assert history.deleted() == ()
+    assert returned == ["b"]
+    history.restore("b", "latest")
+    assert returned == ["b"], "it was there"
     with pytest.raises(NotFoundError):
         history.list("other")

@@ -9,6 +9,8 @@ import pytest
 
 from vaoi_station.errors import DeviceError, GoneError, InputError, NotFoundError, StateError, VaoiError
 from vaoi_station.model import BoardType, RecordingHead, Status, Stitch, Verdict
+from vaoi_station.runs.archive.measured_parts import DIRECTORY as GOOD_BOARDS
+from vaoi_station.runs.archive.measured_parts import good_file
 
 
 def taught(rig: Any) -> str:
@@ -115,3 +117,15 @@ def test_a_disk_that_refuses_changes_nothing(rig: Any) -> None:
     assert "Check space" in refused.value.action
     with pytest.raises(NotFoundError):
         rig.coordinator.reference("small")
+
+
+def test_good_boards_go_with_their_board_type_and_come_back_with_it(rig: Any) -> None:
+    file = good_file(rig.config.data / GOOD_BOARDS, "small", "r1")
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"what a good board looks like")
+    rig.coordinator.delete_board_type("small")
+    assert rig.coordinator.parts.good("small").boards == ()
+    with pytest.raises(NotFoundError):
+        rig.coordinator.parts.forget("r1")
+    rig.coordinator.board_type_history.restore("small", "latest")
+    assert [good.run for good in rig.coordinator.parts.good("small").boards] == ["r1"]

@@ -25,9 +25,14 @@ class BoardTypeHistory:
     """Lists and restores earlier versions of board types. Methods may be called from any thread except the
     coordinator's."""
 
-    def __init__(self, directory: BoardTypeDirectory, put: Callable[[BoardType, str], bool]) -> None:
-        """Serve the versions of a directory's board types. `put` stores a board type, with its origin for the event."""
-        self._directory, self._put = directory, put
+    def __init__(
+        self, directory: BoardTypeDirectory, put: Callable[[BoardType, str], bool], returned: Callable[[str], object]
+    ) -> None:
+        """Serve the versions of a directory's board types.
+
+        `put` stores a board type, with its origin for the event; `returned` is called for a deleted one that is back.
+        """
+        self._directory, self._put, self._returned = directory, put, returned
 
     def deleted(self) -> tuple[str, ...]:
         """Return the names of deleted board types that can be restored, sorted."""
@@ -64,5 +69,6 @@ class BoardTypeHistory:
         The present one is kept as a version.
         """
         board_type = self._directory.revision(name, revision)
-        self._put(board_type, f" by its version {revision}")
+        if self._put(board_type, f" by its version {revision}"):
+            self._returned(name)
         return board_type

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import shutil
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -162,7 +163,7 @@ class MeasuredParts:
         with self._lock:
             finished = _checked(self._archive.get(run))
             name = finished.board_type.name
-            file = self._directory / name / f"{run}{ENDING}"
+            file = good_file(self._directory, name, run)
             others = tuple(one for one in self._good_files(name) if one[0] != file)
             if len(others) >= MOST_GOOD:
                 raise StateError(
@@ -188,7 +189,7 @@ class MeasuredParts:
 
     def forget(self, run: str) -> GoodBoards:
         """Remove a run from the good boards, and return those that are left; NotFoundError if it is none of them."""
-        found = [path for path in self._directory.glob(f"*/*{ENDING}") if path.name == f"{run}{ENDING}"]
+        found = [path for path in self._directory.glob(f"[!.]*/*{ENDING}") if path.name == f"{run}{ENDING}"]
         if not found:
             raise NotFoundError(
                 f"Run {run!r} is not one of the good boards.",
@@ -198,6 +199,18 @@ class MeasuredParts:
         found[0].unlink(missing_ok=True)
         self._events.add("parts", "The board is no longer one of the good ones.", run=run, state="not-good")
         return self.good(found[0].parent.name)
+
+    def set_aside(self, board_type: str) -> None:
+        """Set the good boards of a board type aside that is deleted."""
+        if (directory := self._directory / board_type).is_dir():
+            shutil.rmtree(_aside(directory), ignore_errors=True)
+            directory.rename(_aside(directory))
+
+    def bring_back(self, board_type: str) -> None:
+        """Bring the good boards of a board type back that is restored, if it has none."""
+        directory = self._directory / board_type
+        if _aside(directory).is_dir() and not directory.exists():
+            _aside(directory).rename(directory)
 
     def good(self, board_type: str) -> GoodBoards:
         """Return the good boards of a board type."""
@@ -282,6 +295,16 @@ class MeasuredParts:
             self._events.add("trouble", f"Parts were not measured: {fault}", run=run, code="parts-not-measured")
             return
         self._events.add("parts", event_message(json.loads(content)), run=run, state="measured")
+
+
+def good_file(directory: Path, board_type: str, run: str) -> Path:
+    """Return the file of a good board in the directory of all good boards."""
+    return directory / board_type / f"{run}{ENDING}"
+
+
+def _aside(directory: Path) -> Path:
+    """Return where the good boards of a deleted board type are; no board type has a name like it."""
+    return directory.with_name(f".{directory.name}")
 
 
 def _checked(finished: FinishedRun) -> FinishedRun:

@@ -127,7 +127,7 @@ class StationCoordinator(BoardTypeRequests):
         self.merged = MergedAccess(*of_runs, fields, known)
         self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)
-        self.board_type_history = BoardTypeHistory(board_types, self._put)
+        self.board_type_history = BoardTypeHistory(board_types, self._put, self.parts.bring_back)
 
     # --- reports of processes, in any thread
 

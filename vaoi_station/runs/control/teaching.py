@@ -11,6 +11,7 @@ from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateErr
 from vaoi_station.files.images import Image
 from vaoi_station.model import BoardType, Calibration, Reason, Status, Stitch
 from vaoi_station.runs.archive.finished_runs import FinishedRun
+from vaoi_station.runs.archive.measured_parts import MeasuredParts
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.pictures import FrameAccess
 from vaoi_station.runs.run.inbox import Inbox
@@ -58,6 +59,7 @@ class BoardTypeRequests:
     _inbox: Inbox
     _core: Core
     _frames: FrameAccess
+    parts: MeasuredParts
 
     def __init__(self, directory: BoardTypeDirectory, references: ReferenceStore, parts: Parts) -> None:
         self._parts, self._directory, self._references = parts, directory, references
@@ -106,7 +108,10 @@ class BoardTypeRequests:
         return new
 
     def delete_board_type(self, name: str) -> None:
-        """Delete a board type with its reference and method; `StateError` while the line is armed with it."""
+        """Delete a board type with its reference and method; `StateError` while the line is armed with it.
+
+        Its good boards come back with it, if it is restored.
+        """
         armed = self._inbox.ask(self._core.line.orders.shown)
         if armed is not None and armed.board_type == name:
             raise StateError(f"The line is armed for board type {name!r}.", action="Disarm first.")
@@ -114,6 +119,7 @@ class BoardTypeRequests:
             self._directory.delete(name)
             self._references.drop(name)
             self._references.set_method(name, None)
+            self.parts.set_aside(name)
         self.sweep_references()
         self._parts.events.add("board-type", f"Board type {name!r} was deleted.")
 
