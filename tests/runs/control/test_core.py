@@ -12,7 +12,7 @@ from tests.runs.doubles import Acquisition, CountingRing, Workers
 from vaoi_station.acquisition.cameras.interface import CameraHealth
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import InternalError, StateError
+from vaoi_station.errors import DeviceError, InternalError, StateError
 from vaoi_station.files.results import stitch_text, without_components
 from vaoi_station.model import Calibration, FrameRecord, Pulse, Status, Verdict
 from vaoi_station.runs.archive.event_log import EventLog
@@ -218,6 +218,17 @@ def test_a_camera_is_exchanged_only_while_no_board_may_come(station: Station) ->
     exchanged = station.core.config.cameras[1]
     assert (exchanged.serial, exchanged.address) == ("S9", None)
     assert any("S9 is in the place of" in message for message in station.events("camera"))
+
+
+def test_a_camera_is_not_exchanged_if_that_cannot_be_stored(station: Station) -> None:
+    def refuse(_config: StationConfig) -> None:
+        raise DeviceError("The disk is full.", code="storage-full")
+
+    station.core._parts = replace(station.core._parts, use_config=refuse)
+    with pytest.raises(DeviceError, match="The disk is full"):
+        station.core.exchange_camera(1, "S9", "192.168.7.9", None)
+    assert not any(isinstance(command, messages.ReplaceCamera) for command in station.acquisition.commands)
+    assert station.core.config.cameras[1].serial != "S9"
 
 
 def test_a_place_named_by_address_keeps_its_serial_number_over_a_restart(

@@ -203,13 +203,15 @@ class Core:
         """Use another camera in the place of one that is gone, and this calibration, if the station has one."""
         self.require_disarmed()
         before, name = self.places.cameras[camera].serial, self._config.cameras[camera].name
-        self._parts.acquisition.send(messages.ReplaceCamera(camera, serial, address))
-        self._config = self._config.with_serial(camera, serial)
-        self._parts.use_config(self._config)
-        message = f"Camera {name} was exchanged: {serial} is in the place of {before or 'an unknown one'}."
-        self._events.add("camera", message, subject={"camera": name}, code="camera-exchanged")
+        config = self._config.with_serial(camera, serial)
+        # Stored first: if that fails, nothing has changed.
+        self._parts.use_config(config)
         if calibration is not None:
             self.use_calibration(calibration)
+        self._config = config
+        self._parts.acquisition.send(messages.ReplaceCamera(camera, serial, address))
+        message = f"Camera {name} was exchanged: {serial} is in the place of {before or 'an unknown one'}."
+        self._events.add("camera", message, subject={"camera": name}, code="camera-exchanged")
 
     def use_calibration(self, calibration: Calibration) -> None:
         """Use another calibration for the boards of all later orders."""
