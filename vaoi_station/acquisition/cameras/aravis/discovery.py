@@ -34,7 +34,9 @@ from vaoi_station.errors import DeviceError, InputError, StateError
 DISCOVERY_S = 1.0
 """Time to wait for replies to DISCOVERY; the standard allows cameras this long."""
 NEW_ADDRESS_S = 5.0
-"""Longest wait until a camera answers at its new address."""
+"""Longest wait until a camera answers at its new address, and until it is free there."""
+AGAIN_S = 0.2
+"""Pause between two attempts to take control of a camera."""
 _SEARCHED = 64
 """Number of addresses of a network that are tried in the search for a free one."""
 _DISCOVERY, _FORCE_IP, _WRITE_REGISTER, _READ_REGISTER = 0x0002, 0x0004, 0x0082, 0x0080
@@ -216,8 +218,11 @@ def _keep(camera: FoundCamera, address: str, own: ipaddress.IPv4Interface) -> No
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(0.5)
         client.connect((address, CONTROL_PORT))
-        # Only the application that controls a camera may write.
-        _write(client, camera, _PRIVILEGE, _IN_CONTROL)
+        # Only the application that controls a camera may write. A station whose place has this address opens the camera
+        # as soon as it answers there, and leaves it again because it is another one.
+        end_s = time.monotonic() + NEW_ADDRESS_S
+        while not _accepts(client, _PRIVILEGE, _IN_CONTROL) and time.monotonic() < end_s:
+            time.sleep(AGAIN_S)
         try:
             present = request(client, _READ_REGISTER, _IP_CONFIGURATION.to_bytes(4, "big")) or b""
             _write(client, camera, _PERSISTENT_ADDRESS, _as_number(address))
@@ -229,10 +234,14 @@ def _keep(camera: FoundCamera, address: str, own: ipaddress.IPv4Interface) -> No
                 _write(client, camera, _PRIVILEGE, 0)
 
 
-def _write(client: socket.socket, camera: FoundCamera, register: int, value: int) -> None:
+def _accepts(client: socket.socket, register: int, value: int) -> bool:
     content = struct.pack(">II", register, value)
     # None: no reply in time; empty: a refusal.
-    if not next((r for _ in range(3) if (r := request(client, _WRITE_REGISTER, content)) is not None), None):
+    return bool(next((r for _ in range(3) if (r := request(client, _WRITE_REGISTER, content)) is not None), None))
+
+
+def _write(client: socket.socket, camera: FoundCamera, register: int, value: int) -> None:
+    if not _accepts(client, register, value):
         raise DeviceError(
             f"Camera {camera.serial} has its new address, but does not keep it for the next power-on (register "
             f"0x{register:04X} refused).",

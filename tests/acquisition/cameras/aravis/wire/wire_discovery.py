@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -46,6 +47,15 @@ def test_an_address_is_taken_at_once_and_kept(foreign: ForeignCamera) -> None:
     assert foreign.get(0xA00) == 0, "and no program controls it"
     now = found(foreign.serial)
     assert (now.address, now.in_network, now.control) == (FREE, True, Control.FREE)
+
+
+def test_an_address_is_kept_although_a_station_opens_the_camera_there_at_first(foreign: ForeignCamera) -> None:
+    far, foreign.refuses = found(foreign.serial), {0xA00}
+    leaves = threading.Timer(1.0, foreign.refuses.clear)
+    leaves.start()
+    set_address(far, FREE)
+    leaves.join()
+    assert socket.inet_ntoa(foreign.memory[0x64C : 0x64C + 4]) == FREE
 
 
 def test_an_address_that_cannot_be_is_refused_with_its_cause(
