@@ -72,7 +72,7 @@ def test_a_board_turned_by_180_degrees_is_noticed_by_the_turn_that_is_stated() -
     assert codes(answer) == ["board-turned"]
 
 
-def test_a_symmetrical_pattern_is_not_ok_without_a_turn() -> None:
+def test_a_symmetrical_pattern_has_no_answer_without_a_turn() -> None:
     corners = {"A": (10.0, 10.0), "B": (150.0, 10.0), "C": (150.0, 90.0), "D": (10.0, 90.0)}
     marks = tuple(Fiducial(name=name, x=x, y=y, diameter=1.0) for name, (x, y) in corners.items())
     at = Clamp()(np.array(list(corners.values()))).tolist()
@@ -103,6 +103,13 @@ def test_readings_of_another_board_are_refused_with_a_distance() -> None:
     assert "apart, filmed" in answer.reasons[0].message
     assert not answer.points
     assert not answer.transforms
+
+
+def test_a_wrong_z_is_noticed() -> None:
+    first, *rest = Clamp().readings(*ALL, z=True)
+    raised = (first.model_copy(update={"z": (first.z or 0.0) + 5.0}), *rest)
+    answer = clamp(filmed(), request(raised, sigma_z=0.01))
+    assert codes(answer) == ["readings-z-disagree"]
 
 
 def test_readings_at_one_place_are_refused() -> None:

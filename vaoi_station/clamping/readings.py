@@ -116,12 +116,12 @@ class Readings:
             self._leave_out(n, self._meant(n, best))
         if alike := [a for a in likely if a.explained == best.explained]:
             message = f"the readings fit as well if {self._other_names(alike[0])}"
-            if self.request.turn_deg is None and abs(math.remainder(alike[0].turn_rad - best.turn_rad, math.tau)) > 0.1:
-                self.add_reason(
-                    "orientation-not-shown", message, "State turn_deg, or read a fiducial off their symmetry."
-                )
-            else:
-                self.remarks.append(message)
+            turns = [abs(math.remainder(a.turn_rad - best.turn_rad, math.tau)) for a in alike]
+            if self.request.turn_deg is None and max(turns) > 0.1:
+                message = f"the readings fit as well if {self._other_names(alike[turns.index(max(turns))])}"
+                action = "State turn_deg, or read a fiducial off their symmetry."
+                raise MisfitError(message, action=action, code="orientation-not-shown")
+            self.remarks.append(message)
         return np.flatnonzero(best.of >= 0).tolist()
 
     def _other_names(self, a: Assignment) -> str:
@@ -204,6 +204,9 @@ class Readings:
             used.remove(worst[0])
             found, worst = self._fit(used, changed)
         if changed:
+            if len(used) <= 3:
+                # One wrong reading explains it as well.
+                found.covariance[changed, changed] += found.values[changed] ** 2
             shown = ", ".join(
                 f"{_SHAPE[n]} {1e6 * found.values[n]:+.0f} ppm (expected {1e6 * self.prior[n]:.0f})" for n in changed
             )
@@ -252,13 +255,26 @@ class Readings:
         """Return the heights that the readings show."""
         if not self.with_z:
             return level(self.film, self.of[used].tolist(), self.bow)
-        return bent(self.film, self.of[self.with_z].tolist(), self.z, self.sigma_z, self.bow)
+        good = [k for k, n in enumerate(self.with_z) if n not in self.left_out]
+        of, z, sigma = self.of[np.array(self.with_z)[good]].tolist(), self.z[good], self.sigma_z[good]
+        found = bent(self.film, of, z, sigma, self.bow)
+        misfit = (((z - found.z_mm(self.film.cad[of])) / sigma) ** 2).sum() + (
+            (found.values[3:] / found.prior_mm) ** 2
+        ).sum()
+        free = max(len(of) - 3, 0)
+        if misfit > free + _SIGMAS * math.sqrt(2 * free) + _SIGMAS:
+            bow = np.abs(found.values[3:]).max() / self.mm
+            message = f"z of the readings fit a board that is bent by {bow:.3g} {self.request.unit} only"
+            self.add_reason("readings-z-disagree", message, "Read z again; check sigma_z and bow.")
+        return found
 
     def remark(self, found: Fit, used: list[int], bending: Bending) -> None:
         """State what the readings do not show."""
         unit, says = self.request.unit, self.remarks.append
         if len(used) == 1:
             says(f"one reading shows a shift only: the turn is turn_deg ± {self.request.turn_sigma_deg:g}°")
+        if len(used) == 2:
+            says("two readings check one another along their line only: an error across it turns the board unnoticed")
         assumed = [_SHAPE[n] for n in _SHAPE if found.sigma_free(n) > self.prior[n]]
         if assumed:
             says(f"{', '.join(assumed)}: the readings show less than scale_ppm and shear_ppm state, which are taken")
