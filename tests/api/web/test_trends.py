@@ -30,6 +30,8 @@ def test_trends_say_what_changed_and_a_point_opens_its_board(page: Page, served:
     page.locator("#compare-choice").select_option(mark)
     expect(page.locator("#changes li").first).to_contain_text("Seams between cameras 0-1")
     expect(page.locator("#changes li").first).to_contain_text("worse")
+    expect(page.locator(".chart").first).to_have_id("chart-seam_px")  # the figure that moved most
+    expect(page.locator(".time-axis canvas")).to_be_visible()
     page.reload()
     expect(page.locator("#changes li").first).to_contain_text("worse")
     expect(page.locator("#compare-choice")).to_have_value(mark or "")
@@ -44,6 +46,7 @@ def test_trends_say_what_changed_and_a_point_opens_its_board(page: Page, served:
     expect(area).not_to_have_attribute("aria-valuetext", before or "")
     page.keyboard.press("Home")
     expect(area).to_have_attribute("aria-valuenow", "0")
+    expect(page.locator("#chart-sigma_px .chart-area")).to_have_attribute("aria-valuenow", "0")  # one cursor for all
     page.keyboard.press("End")
     page.evaluate("document.activeElement.dispatchEvent(new KeyboardEvent('keydown', { key: 'Enter' }))")
     expect(page.locator("#board-title")).to_have_text("There is no such board.")  # it is of the figures alone

@@ -51,6 +51,25 @@ def test_figures_outlive_their_run(make_rig: Callable[..., Any], store: Store) -
     assert {"lost_frames", "drift_px"} <= figures()
 
 
+def test_the_first_board_after_a_restart_is_marked(
+    make_rig: Callable[..., Any], store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_rig()
+    rig.ready()
+    grant = rig.arm()
+    rig.board(grant)
+    run = rig.result_of(grant.run)
+    for start in ("2027-01-01T00:00:00.000Z", "2027-01-02T00:00:00.000Z"):
+        monkeypatch.setattr("vaoi_station.runs.trends.trends.utc", lambda at=start: at)
+        history = TrendHistory(store.figures, ("a",), 16)  # that of a start of the station
+        for number in range(2):
+            history.finished(run.model_copy(update={"id": f"{start}-{number}", "started": start}), lambda _: None)
+    store.database.write(lambda _: None).result(10)
+    marks = [mark for mark in history.trends(EVER, (), 100).marks if mark.kind == "restart"]
+    assert [mark.run for mark in marks] == ["2027-01-01T00:00:00.000Z-0", "2027-01-02T00:00:00.000Z-0"]
+    assert (marks[1].before, marks[1].after) == ("2027-01-01T00:00:00.000Z", "2027-01-02T00:00:00.000Z")
+
+
 def test_figures_that_cannot_be_kept_hold_up_no_result(
     make_rig: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

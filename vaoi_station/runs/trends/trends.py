@@ -37,7 +37,7 @@ from vaoi_station.store.figures import (
     merged,
 )
 
-MarkKind = Literal["calibration", "configuration", "board-type", "light", "reference", "software"]
+MarkKind = Literal["calibration", "configuration", "board-type", "light", "reference", "software", "restart"]
 
 
 class TrendSeries(Strict):
@@ -71,7 +71,7 @@ class TrendMark(Strict):
     board_type: str | None = None
     """The board type that it concerns; None: all."""
     before: str
-    """Digest, version, run of the reference, or lights with their exposures; empty: none."""
+    """Digest, version, run of the reference, lights with their exposures, or start of the station; empty: none."""
     after: str
 
 
@@ -159,7 +159,7 @@ class TrendHistory:
     """Keeps the figures of boards, and returns their development. Its methods may be called from any thread."""
 
     def __init__(self, figures: BoardFigures, cameras: Sequence[str], database_gb: float) -> None:
-        self._figures, self._cameras = figures, tuple(cameras)
+        self._figures, self._cameras, self._begun = figures, tuple(cameras), utc()
         figures.has_only_lower_limit = has_only_lower_limit
         most = int(database_gb * 1e9 * SHARE / BYTES_PER_BOARD)
         self._kept = min(max(most, LEAST_BOARDS), MOST_BOARDS)
@@ -175,7 +175,8 @@ class TrendHistory:
             row = BoardRow(detail.id, detail.started, detail.board_type, {})
             earlier = self._join(row)
             figures = figures_of(detail, stitch_of(detail.id)) | (dict(earlier.figures) if earlier else {})
-            self._figures.add(replace(row, figures=figures), made_with_of(detail), self._kept)
+            made_with = made_with_of(detail) | {("restart", ""): self._begun}
+            self._figures.add(replace(row, figures=figures), made_with, self._kept)
 
     def checked(self, check: RunCheck) -> None:
         """Keep the figures of a drift check, which may come before or after the end of its run, as `finished` does."""

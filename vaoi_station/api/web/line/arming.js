@@ -1,6 +1,7 @@
 // Arm and disarm, with the board type and the board's id (typed, or scanned: a scanner ends with Enter).
 import { make, setText, showRefusal, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
+import { stateOf } from "../parts/orders.js";
 import { kept, keep } from "../parts/settings.js";
 import { texts } from "../texts/texts.js";
 
@@ -104,8 +105,9 @@ export class Arming extends View {
     if (now.all_cameras_ready) this.#lost = false;
     const refused = this.#answer.classList.contains("refused");
     // It spoke of the state before, unless it says that a command has brought this one.
-    if (now.state !== this.#state && (refused || performance.now() - this.#said > 1000)) this.#say("");
-    this.#state = now.state;
+    const state = stateOf(now); // a line that is held is not called armed
+    if (state !== this.#state && (refused || performance.now() - this.#said > 1000)) this.#say("");
+    this.#state = state;
     this.#showButton();
   }
 

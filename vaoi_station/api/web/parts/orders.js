@@ -62,7 +62,7 @@ const OLD_MS = 30 * 60 * 1000;
 // Why the next board must wait, without the board that is passing: it needs no order. Cameras that were accepted as lost are not among it.
 const heldBy = (now) => now.line_held.filter((reason) => reason.code !== "line-filming");
 
-function stateOf(now) {
+export function stateOf(now) {
   if (now.state === "armed" && !now.line_ready) return heldBy(now)[0]?.code === "camera-lost" ? "lacking" : "held";
   return now.state in texts.words ? now.state : "unknown";
 }

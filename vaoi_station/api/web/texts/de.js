@@ -340,7 +340,7 @@ const trends = {
   noMarks: "Kalibrierung, Baugruppentyp, Licht und Konfiguration blieben gleich.",
   kinds: {
     calibration: "Kalibrierung", configuration: "Konfiguration", "board-type": "Baugruppentyp", light: "Licht", reference: "Referenz",
-    software: "Software",
+    software: "Software", restart: "Neustart",
   },
   mark: (kind, type, before, after) => `${kind}${type ? ` von ${type}` : ""}: ${before || "keine"} → ${after || "keine"}`,
   compare: "Vergleichen",

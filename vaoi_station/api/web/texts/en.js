@@ -348,7 +348,7 @@ const trends = {
   noMarks: "Calibration, board type, light and configuration stayed the same.",
   kinds: {
     calibration: "Calibration", configuration: "Configuration", "board-type": "Board type", light: "Light", reference: "Reference",
-    software: "Software",
+    software: "Software", restart: "Restart",
   },
   mark: (kind, type, before, after) => `${kind}${type ? ` of ${type}` : ""}: ${before || "none"} → ${after || "none"}`,
   compare: "Compare",

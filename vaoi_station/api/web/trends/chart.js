@@ -1,10 +1,14 @@
-// One figure over time: a line per part, its limits, and where something changed. A point opens its board.
+// One figure over time: a line per part, its limits, and where something changed. A point opens its board. All figures have one time
+// axis and one cursor.
 import { loadScript, make, setText } from "../parts/elements.js";
 import { moment, number, texts, tick } from "../texts/texts.js";
 
 const LIBRARY = new URL("../vendor/uplot/uPlot", import.meta.url).href;
 document.head.append(make("link", { rel: "stylesheet", href: `${LIBRARY}.min.css` }));
-const HEIGHT = 170;
+const HEIGHT = 110;
+const AXIS_HEIGHT = 46;
+const LEFT_PX = 62; // of the axis of values: the charts lie one below the other
+const FONT = "13px system-ui, 'DejaVu Sans', sans-serif";
 const COLOURS = 6; // --series-1 … of the style sheet
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]]; // lines differ without colour too, from the seventh on
 const BANDS = 3; // with more parts, the bands of least and largest values would hide the lines
@@ -12,6 +16,75 @@ const NEAR_PX = 30;
 
 const digits = (figure, value) => number(value, figure.endsWith("_px") ? 3 : figure === "slip_percent" ? 2 : figure === "ready_ms" ? 0 : 1);
 const beyond = (series, value) => value != null && ((series.upper != null && value > series.upper) || (series.lower != null && value < series.lower));
+
+const seconds = (time) => Date.parse(time) / 1000;
+const cursor = { sync: { key: "trends", setSeries: false }, drag: { x: false, y: false }, y: false };
+
+// The span, without the time before the first board.
+function spanOf(trends) {
+  const [since, until, first] = [trends.since, trends.until, trends.times[0]].map(seconds);
+  return [Math.max(since, first - 0.02 * (until - first)), until];
+}
+
+function axisOf(style) {
+  const edge = style.getPropertyValue("--edge");
+  return { stroke: style.getPropertyValue("--soft"), font: FONT, grid: { stroke: edge, width: 1 }, ticks: { stroke: edge, width: 1, size: 4 } };
+}
+
+// The places, px of the canvas, at which something changed.
+const marksOf = (plot, trends) => trends.marks.map((mark) => [mark, plot.valToPos(seconds(mark.time), "x", true)]);
+
+// The time axis of all charts, with the names of what changed. It stays in sight while they scroll.
+export class TimeAxis {
+  #plot = null;
+  #resized = new ResizeObserver(() => this.#plot?.setSize({ width: this.root.clientWidth, height: AXIS_HEIGHT }));
+
+  constructor() {
+    this.root = make("div", { className: "time-axis", ariaHidden: "true" });
+    this.#resized.observe(this.root);
+  }
+
+  async show(trends) {
+    await loadScript(`${LIBRARY}.iife.min.js`);
+    if (!this.root.isConnected) return;
+    this.#plot?.destroy();
+    this.#plot = null;
+    if (!trends.boards) return;
+    const axis = axisOf(getComputedStyle(this.root));
+    this.#plot = new window.uPlot({
+      width: this.root.clientWidth, height: AXIS_HEIGHT, legend: { show: false }, cursor: { ...cursor, points: { show: false } }, padding: [0, null, 0, LEFT_PX],
+      scales: { x: { time: true, range: () => spanOf(trends) } },
+      axes: [{ ...axis, size: 26, values: (_, splits, __, ___, step) => splits.map((time) => tick(time * 1000, step)), space: 70 }],
+      series: [{}],
+      hooks: { draw: [(plot) => this.#name(plot, trends)] },
+    }, [trends.times.map(seconds)], this.root);
+  }
+
+  // A name that would lie over the one before is left out: the list of what changed has it.
+  #name(plot, trends) {
+    const { ctx } = plot;
+    const scale = devicePixelRatio;
+    ctx.save();
+    ctx.font = FONT.replace("13px", `${13 * scale}px`);
+    ctx.fillStyle = getComputedStyle(this.root).getPropertyValue("--ink");
+    ctx.textAlign = "left";
+    ctx.textBaseline = "top";
+    let free = 0;
+    for (const [mark, x] of marksOf(plot, trends)) {
+      const name = texts.trends.kinds[mark.kind];
+      ctx.fillRect(x, 0, scale, AXIS_HEIGHT * scale);
+      if (x < free) continue;
+      ctx.fillText(name, x + 4 * scale, 0);
+      free = x + ctx.measureText(name).width + 12 * scale;
+    }
+    ctx.restore();
+  }
+
+  close() {
+    this.#resized.disconnect();
+    this.#plot?.destroy();
+  }
+}
 
 export class Chart {
   #figure;
@@ -30,7 +103,7 @@ export class Chart {
     this.warning = make("p", { className: "chart-warning" });
     this.area = make("div", { className: "chart-area", tabIndex: 0, role: "slider", ariaLabel: texts.trends.figures[figure] });
     this.readout = make("p", { className: "chart-readout" });
-    this.root.append(make("div", { className: "chart-head" }, this.title, this.warning), this.parts, this.area, this.readout);
+    this.root.append(make("div", { className: "chart-head" }, this.title, this.warning, this.parts, this.readout), this.area);
     this.area.addEventListener("keydown", (event) => this.#key(event));
     this.area.addEventListener("click", () => this.#open(this.#near(this.#plot.cursor.top)));
     this.#resized.observe(this.area);
@@ -43,7 +116,7 @@ export class Chart {
     const { uPlot } = window;
     if (!this.root.isConnected) return;
     this.#style = getComputedStyle(this.root);
-    const times = trends.times.map((time) => Date.parse(time) / 1000);
+    const times = trends.times.map(seconds);
     const banded = series.length <= BANDS && trends.bin_s != null;
     const columns = series.flatMap((s) => (banded ? [s.values, s.least, s.largest] : [s.values]));
     this.#plot?.destroy();
@@ -63,10 +136,7 @@ export class Chart {
   }
 
   #options(uPlot, banded) {
-    const ink = this.#style.getPropertyValue("--soft");
-    const edge = this.#style.getPropertyValue("--edge");
-    const font = "13px system-ui, 'DejaVu Sans', sans-serif";
-    const axis = { stroke: ink, font, grid: { stroke: edge, width: 1 }, ticks: { stroke: edge, width: 1, size: 4 } };
+    const axis = axisOf(this.#style);
     const hidden = { stroke: "transparent", width: 0, points: { show: false } };
     const lines = this.#series.flatMap((series, n) => {
       const dash = DASHES[Math.floor(n / COLOURS) % DASHES.length];
@@ -76,21 +146,15 @@ export class Chart {
     const bands = banded ? this.#series.map((_, n) => ({ series: [3 * n + 3, 3 * n + 2], fill: `color-mix(in srgb, ${this.#colour(n)} 22%, transparent)` })) : [];
     return {
       width: Math.max(this.area.clientWidth, 200), height: HEIGHT, legend: { show: false }, bands,
-      cursor: { sync: { key: "trends", setSeries: false }, drag: { x: false, y: false }, focus: { prox: NEAR_PX }, y: false },
-      scales: { x: { time: true, range: () => this.#span() }, y: { range: (_, least, largest) => this.#range(least, largest) } },
+      cursor: { ...cursor, focus: { prox: NEAR_PX } },
+      scales: { x: { time: true, range: () => spanOf(this.#trends) }, y: { range: (_, least, largest) => this.#range(least, largest) } },
       axes: [
-        { ...axis, size: 30, values: (_, splits, __, ___, step) => splits.map((time) => tick(time * 1000, step)), space: 70 },
-        { ...axis, size: 62, space: 34, values: (_, splits) => splits.map((value) => value.toLocaleString(document.documentElement.lang)) },
+        { ...axis, size: 4, values: (_, splits) => splits.map(() => null), space: 70 },
+        { ...axis, size: LEFT_PX, space: 30, values: (_, splits) => splits.map((value) => value.toLocaleString(document.documentElement.lang)) },
       ],
       series: [{}, ...lines],
       hooks: { draw: [(plot) => this.#draw(plot)], setCursor: [(plot) => this.#moved(plot.cursor.idx)] },
     };
-  }
-
-  // The span, without the time before the first board.
-  #span() {
-    const [since, until, first] = [this.#trends.since, this.#trends.until, this.#trends.times[0]].map((time) => Date.parse(time) / 1000);
-    return [Math.max(since, first - 0.02 * (until - first)), until];
   }
 
   // Limits are in view when values come near them; a flat line lies in the middle.
@@ -132,21 +196,8 @@ export class Chart {
         ctx.fill();
       });
     }
-    ctx.strokeStyle = this.#style.getPropertyValue("--ink");
-    ctx.fillStyle = ctx.strokeStyle;
-    ctx.lineWidth = scale;
-    for (const mark of this.#trends.marks) {
-      const x = plot.valToPos(Date.parse(mark.time) / 1000, "x", true);
-      ctx.beginPath();
-      ctx.moveTo(x, top);
-      ctx.lineTo(x, top + height);
-      ctx.stroke();
-      ctx.beginPath();
-      ctx.moveTo(x - 5 * scale, top);
-      ctx.lineTo(x + 5 * scale, top);
-      ctx.lineTo(x, top + 8 * scale);
-      ctx.fill();
-    }
+    ctx.fillStyle = this.#style.getPropertyValue("--ink");
+    for (const [, x] of marksOf(plot, this.#trends)) ctx.fillRect(x, top, scale, height);
     ctx.restore();
   }
 
@@ -201,7 +252,7 @@ export class Chart {
     else if (event.key in steps) {
       event.preventDefault();
       const n = Math.min(Math.max((this.#at ?? last) + steps[event.key], 0), last);
-      this.#plot.setCursor({ left: this.#plot.valToPos(this.#plot.data[0][n], "x"), top: HEIGHT / 2 });
+      this.#plot.setCursor({ left: this.#plot.valToPos(this.#plot.data[0][n], "x"), top: HEIGHT / 2 }, true, true); // the others follow
       this.#moved(n);
     }
   }

@@ -22,22 +22,23 @@ export class Comparison extends View {
   #wanted; // the choice of the person, or of the address: its mark may not have come yet
   #asked = 0;
 
-  constructor(choice) {
+  // onChosen(changes): a person has chosen which spans are compared.
+  constructor(choice, onChosen) {
     super(PART, make("section", { id: "compare" }));
     this.choice = this.part("compare-choice");
     this.choice.addEventListener("change", () => {
       this.#wanted = this.choice.value;
-      rest.unattended(this.#show());
+      rest.unattended(this.#show().then((changes) => changes && onChosen(changes)));
     });
     this.#wanted = choice;
     this.#offer();
   }
 
-  // `marks`: what changed in the span that is shown; each may be compared with before.
+  // `marks`: what changed in the span that is shown; each may be compared with before. Returns the changes, the largest first.
   async show(marks, type) {
     [this.#marks, this.#type] = [marks, type];
     this.#offer();
-    await this.#show();
+    return this.#show();
   }
 
   #offer() {
@@ -63,13 +64,14 @@ export class Comparison extends View {
     const [before_since, before_until, since, until] = this.#spans().map((ms) => new Date(ms).toISOString());
     const query = { before_since, before_until, since, until, ...(this.#type ? { board_type: this.#type } : {}) };
     const found = await rest.trendComparison(query);
-    if (asked !== this.#asked) return; // overtaken by a later choice
+    if (asked !== this.#asked) return null; // overtaken by a later choice
     const changed = found.changes.filter((change) => change.changed);
     const words = texts.trends;
     const sizes = words.versus(words.boards(found.before_boards), found.boards);
     const said = !found.changes.length ? words.few : changed.length ? words.changed(changed.length) : words.unchanged;
     setText(this.part("compare-answer"), `${said} (${sizes})`);
     this.part("changes").replaceChildren(...changed.slice(0, MOST_SHOWN).map((change) => this.#row(change)));
+    return found.changes;
   }
 
   #row(change) {

@@ -1,9 +1,10 @@
-// How the figures of boards develop: a chart per figure, what changed meanwhile, and the comparison of two spans.
+// How the figures of boards develop: a chart per figure, that which moved most first, what changed meanwhile, and the comparison of two
+// spans.
 import { make, options, saidOf, setText, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { stateShown } from "../parts/settings.js";
 import { duration, moment, texts } from "../texts/texts.js";
-import { Chart } from "./chart.js";
+import { Chart, TimeAxis } from "./chart.js";
 import { Comparison } from "./comparison.js";
 
 const SPANS_H = { hours: 8, day: 24, week: 7 * 24, month: 30 * 24, year: 365 * 24 };
@@ -16,6 +17,7 @@ const PART = `
   <p id="trend-answer" role="status"></p>
 </form>
 <div id="trend-top"></div>
+<div id="time-axis"></div>
 <div id="charts"></div>
 <p id="trend-help" data-text="trends.help"></p>`;
 
@@ -31,7 +33,9 @@ function spread(series, count) {
 
 export class TrendsView extends View {
   name = "trends-view";
+  #axis = new TimeAxis();
   #charts = new Map();
+  #order = []; // figures, that which moved most first
   #query;
   #asked = 0;
   #due = 0;
@@ -39,9 +43,10 @@ export class TrendsView extends View {
   constructor(_station, query) {
     super(PART, make("div", { className: "trends" }));
     this.#query = new URLSearchParams(query);
-    this.comparison = new Comparison(this.#query.get("compare") ?? "day");
+    this.comparison = new Comparison(this.#query.get("compare") ?? "day", (changes) => this.#arrange(changes));
     this.marks = make("section", { id: "marks" });
     this.part("trend-top").append(this.comparison.root, this.marks);
+    this.part("time-axis").append(this.#axis.root);
     this.#field("span").append(...options(Object.entries(texts.trends.spans)));
     this.#field("span").value = this.#query.get("span") in SPANS_H ? this.#query.get("span") : "day";
     this.#field("board_type").append(make("option", { value: "", textContent: texts.any }));
@@ -74,6 +79,7 @@ export class TrendsView extends View {
   close() {
     clearTimeout(this.#due);
     this.#due = -1;
+    this.#axis.close();
     for (const chart of this.#charts.values()) chart.close();
   }
 
@@ -81,11 +87,12 @@ export class TrendsView extends View {
     if (event.kind !== "run" || this.#due) return;
     this.#due = setTimeout(() => {
       this.#due = 0;
-      rest.unattended(this.#load());
+      rest.unattended(this.#load(true));
     }, AGAIN_MS);
   }
 
-  async #load() {
+  // `again`: new boards have come, and the charts stay where they are.
+  async #load(again = false) {
     const asked = ++this.#asked;
     const until = new Date(Date.now() + 1000);
     const since = new Date(until - SPANS_H[this.#field("span").value] * 3_600_000);
@@ -105,7 +112,8 @@ export class TrendsView extends View {
     this.marks.hidden = !found.boards && !found.marks.length;
     this.part("trend-help").hidden = !found.boards;
     this.#showMarks(found.marks);
-    await Promise.all([this.#showCharts(found), this.comparison.show(found.marks, type)]);
+    const [changes] = await Promise.all([this.comparison.show(found.marks, type), this.#showCharts(found), this.#axis.show(found)]);
+    if (!again && changes) this.#arrange(changes);
     this.root.dataset.shown = asked;
   }
 
@@ -119,15 +127,27 @@ export class TrendsView extends View {
   #showMarks(marks) {
     const words = texts.trends;
     const lines = marks.map((mark) => {
-      const text = words.mark(words.kinds[mark.kind], mark.board_type, short(mark.before), short(mark.after));
+      const state = mark.kind === "restart" ? (time) => time && moment(time) : short;
+      const text = words.mark(words.kinds[mark.kind], mark.board_type, state(mark.before), state(mark.after));
       return make("li", {}, make("a", { href: `#/board/${encodeURIComponent(mark.run)}`, textContent: moment(mark.time) }), ` ${text}`);
     });
     const list = lines.length ? make("ol", {}, ...lines.reverse()) : make("p", { textContent: words.noMarks });
     this.marks.replaceChildren(make("h2", { textContent: words.marks }), list);
   }
 
+  #sorted(names) {
+    const place = (name) => (this.#order.includes(name) ? this.#order.indexOf(name) : Infinity);
+    return names.map((name, n) => [place(name), n, name]).sort((a, b) => (a[0] === b[0] ? a[1] - b[1] : a[0] - b[0])).map(([, , name]) => name);
+  }
+
+  // Put the figure first that moved most between the spans that are compared.
+  #arrange(changes) {
+    this.#order = [...new Set(changes.map((change) => change.figure))];
+    this.part("charts").append(...this.#sorted([...this.#charts.keys()]).map((name) => this.#charts.get(name).root));
+  }
+
   async #showCharts(found) {
-    const names = [...new Set(found.series.map((series) => series.figure))];
+    const names = this.#sorted([...new Set(found.series.map((series) => series.figure))]);
     for (const [name, chart] of this.#charts) if (!names.includes(name)) chart.close();
     this.#charts = new Map(names.map((name) => [name, this.#charts.get(name) ?? new Chart(name)]));
     const [charts, place] = [[...this.#charts.values()], this.part("charts")];
