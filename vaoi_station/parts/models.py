@@ -28,11 +28,20 @@ VISIBLE = 7.0
 """Least misfit of a part the wrong way round, as a multiple of the usual one, with which its marks are visible.
 
 Lettering stays below it: good parts have other letters from lot to lot."""
+_CLEARLY = 2.0
+"""Least misfit of most taught parts with the template turned, as a multiple of that upright, if it shows marks.
+
+A lamp from one side shades parts by the way they lie, which looks like a mark of those that lie alike."""
+_MOST_LEARNED = 240
+"""Number of patches of one kind that make its template; more make it no better, and take time and memory."""
 _MOST_VARIANTS = 6
 _FEW, _MOST_COMPARED = 3, 90
 """Number of patches from which on those that look otherwise do not count, and of those that are compared in pairs."""
 _SAME_KIND = 0.45
 """Largest difference of two patches of parts of one kind, as a share of the contrast."""
+_ALIGNED, _CONTRASTS = 4.0, 0.4
+"""Largest misfit of an aligned patch of the same kind, as a multiple of the usual one, and difference of the logarithms
+of their contrasts. Patches are compared in pairs before they are aligned, which favours those off to one side."""
 _RAISED = 0.3
 """Share of the expected height below which a part of a taught board is missing, and is no variant."""
 _BODY, _LEADS_WEIGHT = 0.62, 0.02
@@ -71,10 +80,8 @@ class Kind(NamedTuple):
     shades those that lie otherwise in other places."""
     addresses: frozenset[str] | None
     """The parts that the variant is for; None: all of the kind."""
-
-    def unlike(self, patches: Floats32) -> Floats:
-        """Return how unlike the template patches (n, h, w) look that lie near it."""
-        return self.unlikeness(self.template.fit(patches), self.gain)
+    shaded: frozenset[int]
+    """Quarters of a turn by which the template differs, but not most parts from one that lies so: no marks."""
 
     def unlikeness(self, fit: Fit, gain: float) -> Floats:
         """Return how unlike the template parts look; `gain` is the contrast of the good parts of their run."""
@@ -109,21 +116,21 @@ def learn_kinds(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> t
     kinds = [_learn(grid, taught, None)]
     left = taught
     for _ in range(_MOST_VARIANTS):
-        unlike = dict.fromkeys({a for _, a in left.of}, np.inf)
-        for address in unlike:
-            mine = [n for n, (_, a) in enumerate(left.of) if a == address]
-            unlike[address] = float(np.median(kinds[-1].unlike(left.patches[mine]))) if left.raised[mine].all() else 0.0
-        some = frozenset(a for a, u in unlike.items() if u > STRANGE)
+        unlike: dict[str, list[float]] = {}
+        measured = kinds[-1].unlikeness(kinds[-1].fit, kinds[-1].gain)
+        for (_, address), value in zip(left.of, np.where(left.raised, measured, -np.inf).tolist(), strict=True):
+            unlike.setdefault(address, []).append(value)
+        some = frozenset(a for a, u in unlike.items() if min(u) > -np.inf and np.median(u) > STRANGE)
         mine = [n for n, (_, a) in enumerate(left.of) if a in some]
         if not mine or len(mine) == len(left.of):
             break
         left = _Taught(left.patches[mine], tuple(left.of[n] for n in mine), left.raised[mine])
-        kinds.append(_learn(grid, left, some))
+        kinds.append(_learn(grid, left, some, kinds[0].shaded))
     return tuple(kinds)
 
 
 def _collect(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> _Taught | None:
-    stacks: list[Floats32] = []
+    found: list[tuple[NDArray[np.uint8], np.float32]] = []
     of: list[tuple[str, str]] = []
     raised: list[NDArray[np.bool_]] = []
     for board in boards:
@@ -134,24 +141,34 @@ def _collect(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> _Tau
         n, c = names.index(grid.name), classes[0]
         known = np.asarray(board.patches[n][:, c].any((1, 2)), np.bool_)
         scale = np.float32(view.exposure / board.classes[c].exposure)
-        stacks += [_sized(p, grid) * scale for p in board.patches[n][known, c]]
+        found += [(p, scale) for p in board.patches[n][known, c]]
         of += [(board.name, a) for a, k in zip(board.addresses[n], known.tolist(), strict=True) if k]
         expected, measured, _ = board.heights_mm[n][known].T
         raised.append(~(measured < _RAISED * expected))
-    return _Taught(np.stack(stacks), tuple(of), np.concatenate(raised)) if stacks else None
+    if not found:
+        return None
+    patches = np.empty((len(found), grid.height, grid.width), np.float32)
+    for out, (patch, scale) in zip(patches, found, strict=True):
+        out[:] = _sized(patch, grid) * scale
+    return _Taught(patches, tuple(of), np.concatenate(raised))
 
 
-def _learn(grid: Grid, taught: _Taught, addresses: frozenset[str] | None) -> Kind:
+def _learn(grid: Grid, taught: _Taught, addresses: frozenset[str] | None, shaded: frozenset[int] = frozenset()) -> Kind:
     """Learn the template of a kind, or of the variant at some addresses."""
-    patches, mask, n = taught.patches, body_mask(grid), len(taught.patches)
+    mask = body_mask(grid)
+    n = min(len(taught.patches), _MOST_LEARNED)
+    some = np.linspace(0, len(taught.patches) - 1, n).astype(int)
+    patches = taught.patches[some]
     members = _majority(patches, mask)
     picture = np.asarray(np.median(patches[members], 0), np.float32)
     variance = np.full(picture.shape, _PRIOR_SD**2, np.float32)
     pose = np.zeros((n, 3))
     for _ in range(_ROUNDS if n > 1 else 1):
         fit = Template(picture, variance, mask).fit(patches, pose, rounds=3, limit_px=6.0)
+        if n >= _FEW:
+            members = _aligned(fit, members)
         good = members & (fit.misfit <= np.quantile(fit.misfit[members], _TRIM))
-        pose = fit.pose - np.median(fit.pose[good], 0)
+        pose = fit.pose - _middle(fit.pose[members])
         safe = np.where(np.abs(fit.gain) < 0.2, 0.2, fit.gain)
         aligned = (warp(patches, pose) - fit.offset[:, None, None]) / safe[:, None, None]
         picture = aligned[good].mean(0).astype(np.float32)
@@ -160,13 +177,23 @@ def _learn(grid: Grid, taught: _Taught, addresses: frozenset[str] | None) -> Kin
         total = (rest + _PRIOR_SAMPLES * _PRIOR_SD**2) / (count + _PRIOR_SAMPLES) + _LEAST_VARIANCE
         variance = total.astype(np.float32)
     template = Template(picture, variance, mask)
-    fit = template.fit(patches, pose, rounds=2, limit_px=6.0)
+    fit = template.fit(taught.patches, limit_px=6.0)
+    learned = np.zeros(len(taught.patches), np.bool_)
+    learned[some[members]] = True
+    members = _aligned(fit, learned) if n >= _FEW else learned
     # A part that had a share in the template fits it better than another one will.
     count = int(np.count_nonzero(members))
     middle = float(np.median(fit.misfit[members])) * (count + 1) / max(count - 1, 1)
     usual = (_PRIOR_SAMPLES + count * middle) / (_PRIOR_SAMPLES + count) if count > 1 else 1.0
     turned = {q: _turned(template, q) for q in _turns(grid)}
     asymmetry = {q: float(t.fit(picture[None]).misfit[0]) / usual for q, t in turned.items()}
+    upright = {
+        q: np.log(np.maximum(t.compare(taught.patches, fit.pose).misfit, 1e-3) / np.maximum(fit.misfit, 1e-3))
+        for q, t in turned.items()
+    }
+    unclear = {q for q, v in upright.items() if asymmetry[q] > VISIBLE and np.quantile(v, 1 - _TRIM) < np.log(_CLEARLY)}
+    asymmetry |= dict.fromkeys(unclear | set(shaded), 0.0)
+    other = [n for q, v in upright.items() if asymmetry[q] > VISIBLE for n in np.flatnonzero(v <= 0)]
     level = float((picture * mask).sum() / mask.sum())
     gain, offset = fit.gain[members], fit.offset[members]
     gain_sd = _spread(np.log(np.maximum(gain, 0.05)), _CONTRAST_SD)
@@ -174,24 +201,8 @@ def _learn(grid: Grid, taught: _Taught, addresses: frozenset[str] | None) -> Kin
     boards = len({board for board, _ in taught.of})
     return Kind(
         template, usual, float(np.median(gain)), gain_sd, level_sd, level, count, boards, turned, asymmetry, fit,
-        taught.of, _any_way(taught, template, fit, turned, asymmetry), addresses,
+        taught.of, frozenset(taught.of[n][1] for n in other), addresses, frozenset(unclear),
     )  # fmt: skip
-
-
-def _any_way(
-    taught: _Taught, template: Template, fit: Fit, turned: dict[int, Template], asymmetry: dict[int, float]
-) -> frozenset[str]:
-    """Return the parts that are not clearly upright on good boards."""
-    upright = np.full(len(taught.of), np.inf)
-    own = template.compare(taught.patches, fit.pose).misfit
-    for q, other in turned.items():
-        if asymmetry[q] > VISIBLE:
-            there = other.compare(taught.patches, fit.pose).misfit
-            share = np.log(np.maximum(there, 1e-3) / np.maximum(own, 1e-3)) / np.log(asymmetry[q])
-            upright = np.minimum(upright, share)
-    return frozenset(
-        address for (_, address), straight in zip(taught.of, upright.tolist(), strict=True) if not straight
-    )
 
 
 def _majority(patches: Floats32, mask: Floats32) -> NDArray[np.bool_]:
@@ -209,6 +220,21 @@ def _majority(patches: Floats32, mask: Floats32) -> NDArray[np.bool_]:
     middle = some[np.argmin(np.sort(apart, 1)[:, : len(some) // 3 + 1].mean(1))]
     members = np.sqrt(np.square(shown - middle).mean(1)) < _SAME_KIND * max(float(middle.std()), _CONTRAST_SD)
     return members if members.sum() >= _FEW - 1 else np.ones(n, np.bool_)
+
+
+def _aligned(fit: Fit, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which patches fit a template about as well as most of its members do."""
+    contrast = np.log(np.maximum(fit.gain, 0.02))
+    near = np.abs(contrast - np.median(contrast[members])) < _CONTRASTS
+    return np.asarray(near & (fit.misfit < _ALIGNED * np.median(fit.misfit[members])))
+
+
+def _middle(poses: Floats) -> Floats:
+    """Return the mean of poses (n, 3) without those that lie apart: with few parts it is closer than the median."""
+    middle = np.median(poses, 0)
+    off = np.abs(poses - middle)
+    near = off <= 4.5 * np.median(off, 0) + 1e-9
+    return np.asarray((poses * near).sum(0) / near.sum(0))
 
 
 def _spread(values: Floats, prior: float) -> float:

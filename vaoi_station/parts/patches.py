@@ -183,7 +183,8 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
                 said[k] |= np.count_nonzero((middle > _BRIGHT) | (middle < _DARK)) <= _BLANK * middle.size
                 if len(whole) > 1:
                     slopes = lift[[use[n] for n in whole]] * (grid.px_per_mm / resolution)
-                    seen.append(_Views(k, values[g, c][rank[k]], [stack[n] for n in whole], slopes))
+                    clipped = _BRIGHT * max(to_class[n] for n in whole)
+                    seen.append(_Views(k, values[g, c][rank[k]], [stack[n] for n in whole], slopes, clipped))
             for begin in range(0, len(seen), _AT_ONCE):
                 some = seen[begin : begin + _AT_ONCE]
                 for m, mask in enumerate(masks):
@@ -330,6 +331,8 @@ class _Views(NamedTuple):
     pictures: list[Floats32]
     slopes_px: Floats
     """(k, 2) by how much each frame shows it displaced, px of the patch per mm of height."""
+    clipped: float
+    """Grey level from which on a pixel may be saturated."""
 
 
 def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floats, Floats]:
@@ -341,12 +344,15 @@ def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floa
     middle, gx, gy = (np.asarray(v[:, *inside], np.float32).reshape(n, -1) for v in (means, dx, dy))
     slopes = np.concatenate([one.slopes_px for one in seen])
     slopes = slopes - np.asarray(np.add.reduceat(slopes, starts) / count[:, None])[of]
-    rest = np.stack([picture[inside] for one in seen for picture in one.pictures]).reshape(len(of), -1) - middle[of]
+    shown = np.stack([picture[inside] for one in seen for picture in one.pictures]).reshape(len(of), -1)
+    # A saturated pixel differs between frames by light, not by place.
+    usable = np.maximum.reduceat(shown, starts) < np.array([[one.clipped] for one in seen], np.float32)
+    rest = (shown - middle[of]) * usable[of]
     # Lamp and lens shade the views differently: gain, offset and a slope of the brightness say nothing of the height.
     at = np.indices(np.shape(means[0, *inside]), np.float32).reshape(2, -1)
     y, x = ((v - v.mean()) / max(float(np.ptp(v)), 1.0) for v in at)
     scaled = middle / np.maximum(middle.mean(1, keepdims=True), 1.0)
-    columns = np.stack([np.ones_like(scaled), scaled, scaled * x, scaled * y, gx, gy], 1)
+    columns = np.stack([np.ones_like(scaled), scaled, scaled * x, scaled * y, gx, gy], 1) * usable[:, None]
     normal = (columns @ columns.swapaxes(1, 2)).astype(np.float64)
     pairs = zip(np.split(rest, starts[1:]), columns, strict=True)
     along = np.concatenate([some @ own.T for some, own in pairs]).astype(np.float64)

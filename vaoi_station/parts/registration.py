@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -12,6 +13,8 @@ Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
 _ROUNDS = 5
+_AT_ONCE = 128
+"""Number of patches that are fitted at once, which bounds the memory."""
 _LARGEST_STEP_PX = 1.5
 """Largest change of the place in one round; the equations hold for a pixel or so."""
 _LARGEST_STEP_RAD = 0.08
@@ -63,6 +66,11 @@ class Template:
 
     def fit(self, patches: Floats32, start: Floats | None = None, rounds: int = _ROUNDS, limit_px: float = 1e9) -> Fit:
         """Fit patches (n, h, w), starting at poses (n, 3)."""
+        if len(patches) > _AT_ONCE:
+            starts = np.zeros((len(patches), 3)) if start is None else start
+            cuts = range(_AT_ONCE, len(patches), _AT_ONCE)
+            pieces = zip(np.split(patches, cuts), np.split(starts, cuts), strict=True)
+            return joined([self.fit(p, at, rounds, limit_px) for p, at in pieces])
         pose = np.zeros((len(patches), 3)) if start is None else start.copy()
         left = np.arange(len(patches))
         for _ in range(rounds):
@@ -85,6 +93,10 @@ class Template:
 
     def compare(self, patches: Floats32, pose: Floats) -> Fit:
         """Return how patches fit at given poses."""
+        if len(patches) > _AT_ONCE:
+            cuts = range(_AT_ONCE, len(patches), _AT_ONCE)
+            pieces = zip(np.split(patches, cuts), np.split(pose, cuts), strict=True)
+            return joined([self.compare(p, at) for p, at in pieces])
         n = len(patches)
         warped = warp(patches, pose).reshape(n, -1).astype(np.float64)
         two = self._weighted[:, :2]
@@ -97,6 +109,11 @@ class Template:
         gain = np.maximum(np.abs(found[:, 0]), 0.05)
         covariance = self._inverse[2:, 2:] / (gain**2)[:, None, None]
         return Fit(pose, found[:, 0], found[:, 1], misfit, covariance)
+
+
+def joined(fits: Sequence[Fit]) -> Fit:
+    """Return the fits of several stacks of patches as one."""
+    return Fit(*(np.concatenate(values) for values in zip(*fits, strict=True)))
 
 
 def warp(patches: Floats32, pose: Floats) -> Floats32:
