@@ -146,10 +146,9 @@ def judge(name: str, text: str, folder: Path) -> Row:
     except (DescriptionError, KeyError, ValueError) as error:
         return Row(name, "no", quirks=f"the stand-in: {error!r}"[:120])
     try:
-        size = [
-            min(size, most) // 16 * 16
-            for size, most in zip((sensor.width_px, sensor.height_px), LARGEST_PX, strict=True)
-        ]
+        steps = [max(16, int(camera.features.limits(name)[2])) for name in ("Width", "Height")]
+        whole = [size // step * step for size, step in zip((sensor.width_px, sensor.height_px), steps, strict=True)]
+        size = [min(a, most // step * step) for a, most, step in zip(whole, LARGEST_PX, steps, strict=True)]
         formats = camera.entries("PixelFormat")
         pixel_format = next(
             (f for f in ("Mono8", "BayerRG8", "BayerGB8", "BayerGR8", "BayerBG8") if f in formats), "Mono8"
@@ -168,7 +167,7 @@ def judge(name: str, text: str, folder: Path) -> Row:
         referee = Referee(camera)
         done = line.film()
         usable, proof = line.proven(done), done.proof
-        part = "" if tuple(size) == (sensor.width_px // 16 * 16, sensor.height_px // 16 * 16) else " (a part)"
+        part = "" if size == whole else " (a part)"
         why = next((frame.cause for frame in done.frames if not frame.usable), "") or (
             "; ".join(str(found) for found in proof.findings) if proof else ""
         )
@@ -177,7 +176,7 @@ def judge(name: str, text: str, folder: Path) -> Row:
             f"{line.opening_s:.1f} s",
             f"{len(left) - len(alive)} of {len(left)}",
             f"{camera.frame_trigger or 'the only one'}, {camera.trigger()}",
-            _stated(referee, ("ExposureTime", "ExposureTimeAbs")),
+            _stated(referee, ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")),
             _stated(referee, ("Gain", "GainAbs", "GainRaw")),
             f"{camera.tick_hz / 1e6:g} MHz",
             f"{camera.stream.packet_bytes} B",

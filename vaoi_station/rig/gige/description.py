@@ -62,6 +62,7 @@ class Description:
         starts = [at for at in (text.find("<?xml"), text.find("<RegisterDescription")) if at >= 0]
         self.text = text[min(starts, default=0) :]
         root = root_of(self.text)
+        self._root = root
         self.vendor, self.model = root.get("VendorName", "Test"), root.get("ModelName", "Test")
         self.nodes: dict[str, ET.Element] = {}
         for element in root.iter():
@@ -71,7 +72,8 @@ class Description:
                 self.nodes.setdefault(element.get("Name", ""), element)
         self.nodes.pop("", None)  # formulas inside of registers
         self.selectors: dict[str, list[str]] = {}
-        for name, node in self.nodes.items():
+        # PGR_Flea3 has LineMode below TriggerMode as well, which locks it and selects nothing.
+        for name, node in ((n, node) for n, node in self.nodes.items() if n.endswith("Selector")):
             for selected in _texts(node, "pSelected"):
                 self.selectors.setdefault(selected, []).append(name)
         self._closures: dict[str, frozenset[str]] = {}
@@ -79,7 +81,8 @@ class Description:
     @property
     def is_gige(self) -> bool:
         """Whether it describes a GigE camera: others have their own bootstrap registers at the same addresses."""
-        return any(name.startswith("Gev") for name in self.nodes)
+        # MV-CA013-A0UM: a USB3 camera that has some names of GigE Vision.
+        return self._root.get("StandardNameSpace") != "USB" and any(name.startswith("Gev") for name in self.nodes)
 
     def kind(self, name: str) -> str:
         """Return the tag of a node; empty if there is none."""

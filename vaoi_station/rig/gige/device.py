@@ -42,7 +42,8 @@ _CLOCK_RESET, _CLOCK_LATCH = 1, 2
 _CAN_PTP = 1 << 31 - 12
 _FIRE_TEST_PACKET = 0x80000000
 IP_UDP_BYTES = 28
-XML_ADDRESS = 0x8000_0000
+XML_ADDRESS = 0x6D00_0000
+"""No description that was met has registers there."""
 SHIFT = 0x0100_0000
 """By which the registers of cameras that are no GigE cameras are moved behind the bootstrap registers."""
 _PAGE = 4096

@@ -125,6 +125,8 @@ class FirstValues:
         ordered += [n for n in names if n in _WISHES and n not in ordered]
         ordered += [n for n in names if n not in ordered]
         for name in ordered:
+            if _is_rolling(name, self._d.entries(name)):
+                continue  # a camera without it, as one with it is refused
             for selection in self._features.selections(name):
                 with self._features.selecting(selection):
                     self._make_available(name)
@@ -173,7 +175,7 @@ class FirstValues:
         """Set bits that a client cannot write, such that a node's value is wanted; return whether it is."""
         if wanted(self._features.value(name)):
             for register in self._stated(name):
-                if self._features.description.kind(register) == "MaskedIntReg":
+                if self._d.kind(register) == "MaskedIntReg" and self._decides(register, name, wanted):
                     self._claims.add(self._features, register)
             return True
         free = {register: self._claims.free(self._features, register) for register in self._stated(name)}
@@ -194,6 +196,15 @@ class FirstValues:
         for register, number in before.items():
             self._features.put(register, number)
         return False
+
+    def _decides(self, register: str, name: str, wanted: Callable[[Number], bool]) -> bool:
+        """Whether a register has a value, or must have none for a node's value to be wanted."""
+        if self._features.value(register):
+            return True
+        self._features.put(register, 1)
+        harmless = wanted(self._features.value(name))
+        self._features.put(register, 0)
+        return not harmless
 
     def _stated(self, name: str) -> list[str]:
         """Return the integer registers behind a node's value that a client cannot write."""
@@ -281,7 +292,11 @@ class FirstValues:
         """Let the limits of a node, and of the nodes that keep its value, contain what is wished."""
         if name not in self._d.nodes:
             return
-        increment, smallest, largest = (self._d.text_of(name, tag) for tag in ("pInc", "pMin", "pMax"))
+        value_of = self._d.text_of(name, "pValue")  # Mako_U-029B: SensorWidth is its own limit
+        increment, smallest, largest = (
+            None if limit == value_of else limit
+            for limit in (self._d.text_of(name, tag) for tag in ("pInc", "pMin", "pMax"))
+        )
         if increment is not None:
             self._reach(increment, wish.step if wish else 1, lambda number: number > 0, always=wish is not None)
         if smallest is not None and wish is not None:
@@ -291,13 +306,12 @@ class FirstValues:
             low = self._features.value(smallest) if smallest is not None else 0
             least = wish.value if wish else low + 1
             self._reach(largest, wish.high if wish else 1000.0, lambda number: least <= number < 1e30, always=True)
-        inner = self._d.text_of(name, "pValue")
-        if inner is None:
+        if value_of is None:
             return
         if wish is not None and self._d.kind(name) in ("Converter", "IntConverter"):
             value, *ends = (self._features.converted(name, x) for x in (wish.value, wish.low, wish.high))
             wish = _Wish(value, min(ends), max(ends))
-        self._give_limits(inner, wish)
+        self._give_limits(value_of, wish)
 
     def _make_computable(self, name: str) -> None:
         """Give registers that are divisors, and are 0, a value."""
@@ -399,6 +413,11 @@ class FirstValues:
     def _set(self, register: str, value: Number) -> None:
         self._features.put(register, value)
         self._claims.add(self._features, register)
+
+
+def _is_rolling(name: str, entries: Iterable[str]) -> bool:
+    """Whether a feature is a shutter that offers no global one."""
+    return "Shutter" in name and "Rolling" in entries and not {"Global", "GlobalShutter"} & set(entries)
 
 
 def _bits_of(mask: int) -> Iterator[int]:

