@@ -169,7 +169,7 @@ def ask(camera: CameraConfig) -> Offered:
         port = address = ""
         packets = passing = speed_mbit_s = None
         if not opened.is_gv_device():
-            port = links.usb_controller(opened.get_device_serial_number() or "")
+            port = links.usb_controller(library.text_of(opened.get_device_serial_number))
         else:
             address = device.get_device_address().get_address().to_string()
             local = device.get_interface_address().get_address().to_string()
@@ -181,9 +181,9 @@ def ask(camera: CameraConfig) -> Offered:
         features = control.features
         black_level = features.read("BlackLevel") if features.has("BlackLevel") else None
         return Offered(
-            vendor=opened.get_vendor_name() or "",
-            model=opened.get_model_name() or "",
-            serial=opened.get_device_serial_number() or "",
+            vendor=library.text_of(opened.get_vendor_name),
+            model=library.text_of(opened.get_model_name),
+            serial=library.text_of(opened.get_device_serial_number),
             triggers=features.entries("TriggerSelector"),
             sources=features.entries("TriggerSource"),
             formats=features.entries("PixelFormat"),

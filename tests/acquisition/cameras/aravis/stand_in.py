@@ -94,6 +94,7 @@ class StandInDevice:
         """Entries of enumerations; by default the present one."""
         self.bounds: dict[str, tuple[float, float]] = {}
         """Limits of numbers."""
+        self.units: dict[str, str] = {}
         self.steps: dict[str, int] = {}
         """Steps of integers; 1 by default."""
 
@@ -103,7 +104,7 @@ class StandInDevice:
     is_feature_implemented = is_feature_available
 
     def get_feature(self, feature: str) -> Node | None:
-        return KINDS[type(self.features[feature])]() if feature in self.features else None
+        return KINDS[type(self.features[feature])](self.units.get(feature)) if feature in self.features else None
 
     def dup_available_enumeration_feature_values_as_strings(self, feature: str) -> list[str]:
         return list(self.entries.get(feature, (self.features[feature],)))
@@ -172,6 +173,12 @@ class Node:
 
     def get_unit(self) -> str | None:
         return self.unit
+
+    def get_tooltip(self) -> str | None:
+        return "" if self.unit is None else f"Exposure time in units of {self.unit}"
+
+    def get_description(self) -> None:
+        return None
 
 
 class GcBoolean(Node):

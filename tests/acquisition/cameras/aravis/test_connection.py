@@ -30,6 +30,16 @@ def test_ticks_of_gige_vision_1_are_converted(hertz: int, wanted_ns: int) -> Non
     assert find_clock(camera, "camera c0")() == wanted_ns
 
 
+def test_the_registers_of_the_standard_are_the_clock_of_a_camera_that_does_not_describe_one() -> None:
+    """Prosilica_GC1280M, PGR_Flea3, PCO1600 and TIS_dmk_33GX174 of areaDetector/aravisGigE."""
+    camera = StandInCamera(is_gige=True)
+    del camera.device.features["TimestampLatch"]
+    camera.device.tick_hz = 500_000_000
+    camera.device.registers = {0x948: 1, 0x94C: 5}
+    assert find_clock(camera, "camera c0")() == 2 * ((1 << 32) + 5)
+    assert camera.device.registers[0x944] == 2, "it is latched before it is read"
+
+
 def test_a_camera_without_a_latch_is_refused() -> None:
     camera = StandInCamera()
     del camera.device.features["TimestampLatchValue"]

@@ -40,6 +40,7 @@ def test_a_gain_without_a_document_is_not_guessed() -> None:
         ("PointGreyResearch", ("Software", "Line0", "Line1"), "Line0"),
         ("Basler", ("Software", "Line1", "Line2"), "Line1"),
         ("Teledyne DALSA", ("Line1", "Line2", "Software"), "Line1"),
+        ("PCO AG", ("SoftTrigger", "ExtTrig", "ExtTrigAndAcqEnbl"), "ExtTrig"),
         ("Acme", ("Software",), ""),
     ],
 )

@@ -54,6 +54,44 @@ def test_an_exposure_in_steps_is_rounded_within_its_tolerance(step: int, written
         assert camera.device.features["ExposureTime"] == written
 
 
+@pytest.mark.parametrize(("unit", "taken"), [("uSeconds", True), ("lines", False)])
+def test_raw_counts_are_an_exposure_where_the_description_says_that_they_are_us(unit: str, taken: bool) -> None:
+    camera = StandInCamera()
+    del camera.device.features["ExposureTime"]
+    camera.device.features["ExposureTimeRaw"] = 10
+    camera.device.units["ExposureTimeRaw"] = unit
+    if taken:
+        settings.apply(camera, camera_config(exposure_us=250.0))
+        assert camera.device.features["ExposureTimeRaw"] == 250
+    else:
+        with pytest.raises(DeviceError, match="has no exposure to set"):
+            settings.apply(camera, camera_config(exposure_us=250.0))
+
+
+def test_the_corner_of_a_sensor_whose_columns_count_from_one_is_one() -> None:
+    """PCO1600."""
+    camera = StandInCamera()
+    camera.device.features["OffsetX"] = 7
+    camera.device.bounds["OffsetX"] = (1, 100)
+    settings.apply(camera, camera_config())
+    assert camera.device.features["OffsetX"] == 1
+
+
+def test_a_trigger_without_edges_to_choose_from_is_taken_as_it_is() -> None:
+    """PCO1600 has a switch for it."""
+    camera = StandInCamera()
+    camera.device.features["TriggerActivation"] = "None"
+    camera.device.entries["TriggerActivation"] = ("None",)
+    settings.apply(camera, camera_config())
+    assert ("TriggerActivation", "RisingEdge") not in camera.device.written
+
+
+def test_a_vendor_that_is_not_written_in_utf_8_is_none() -> None:
+    camera = StandInCamera()
+    camera.get_vendor_name = b"\xb0\xa2".decode  # type: ignore[method-assign]
+    assert settings.Control(camera, "camera c0").vendor == ""
+
+
 def test_what_counts_from_one_is_off_at_one() -> None:
     camera = StandInCamera()
     camera.device.features["Binning"] = 2

@@ -19,7 +19,7 @@ from typing import Any
 from vaoi_station.acquisition.cameras.aravis import families, links, network, sequencer, settings
 from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover
 from vaoi_station.acquisition.cameras.aravis.features import Features
-from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, version
+from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, text_of, version
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
 from vaoi_station.acquisition.cameras.aravis.sequencer import Sets
 from vaoi_station.acquisition.cameras.aravis.settings import Setting, error_text
@@ -44,6 +44,8 @@ def find_clock(camera: Any, name: str) -> Callable[[], int]:
             # Aravis converts the time stamps of GigE frames by the same frequency; SFNC 2 counts ns.
             hertz = device.get_timestamp_tick_frequency() if command.startswith("Gev") or camera.is_gv_device() else 0
             return partial(_latch, device, command, value, 1e9 / hertz if hertz else 1.0)
+    if camera.is_gv_device() and (hertz := device.get_timestamp_tick_frequency()):
+        return partial(_latch_register, device, 1e9 / hertz)
     raise DeviceError(
         f"{name}: has no time stamp that can be latched ({', '.join(' or '.join(pair) for pair in families.CLOCKS)}).",
         action="Use a camera whose clock can be latched; without it, frames cannot be assigned to pulses.",
@@ -55,6 +57,10 @@ def _latch(device: Any, command: str, value: str, ns_per_tick: float) -> int:
     device.execute_command(command)
     ticks: int = device.get_integer_feature_value(value)
     return ticks if ns_per_tick == 1 else round(ticks * ns_per_tick)
+
+
+def _latch_register(device: Any, ns_per_tick: float) -> int:
+    return round(network.latched_ticks(device) * ns_per_tick)
 
 
 OPENING_LOCK = threading.Lock()
@@ -364,7 +370,7 @@ class Connection:
                 self.granted_bytes = network.widen_receive_buffer(stream.get_port(), self.share.socket_bytes)
             kind = FrameFormat(self.config.width, self.config.height, PIXEL_FORMATS[self.config.pixel_format].code)
             reader = ChunkReader(self._camera, self._chunk_bytes) if self._chunk_bytes else None
-            named = self._camera.get_vendor_name() or "", self._camera.get_model_name() or ""
+            named = text_of(self._camera.get_vendor_name), text_of(self._camera.get_model_name)
             name, misnumbers = f"camera-{self.config.name}", families.misnumbers_resends(*named)
             self._stream = SlotStream(stream, kind, on_slot, name, reader, misnumbers)
             self._camera.start_acquisition()
@@ -521,13 +527,13 @@ class Connection:
 
     def _identity(self, where: str) -> Identity:
         camera = self._camera
-        address, interface, model = where, "", camera.get_model_name() or ""
+        address, interface, model = where, "", text_of(camera.get_model_name)
         if self.is_gige:
             device = camera.get_device()
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
             model = network.model_name(address) or model
-        return Identity(camera.get_device_serial_number() or "", address, interface, model)
+        return Identity(text_of(camera.get_device_serial_number), address, interface, model)
 
     @contextlib.contextmanager
     def _noticing_restarts(self) -> Iterator[None]:

@@ -230,6 +230,10 @@ one.
 """
 EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 """Names of the exposure in a unit of time, in order of preference."""
+RAW_EXPOSURE = "ExposureTimeRaw"
+"""The exposure of Imperx, whose text alone states its unit: "in units of uSeconds"."""
+MICROSECONDS = r"(?i)\b(u|µ|μ|micro[- ]?)s(ec|\b)"
+"""How texts of descriptions write the unit."""
 TIME_UNITS_US = {"": 1.0, "us": 1.0, "µs": 1.0, "μs": 1.0, "ns": 1e-3, "ms": 1e3, "s": 1e6}
 """Unit of an exposure → µs. Orca_Fire_C16240-20UP states s; AVT_Mako_G234B states none and counts µs."""
 CLOCKS = (
@@ -290,6 +294,8 @@ def make_of(vendor: str) -> Make:
 def usual_line(vendor: str, sources: Sequence[str]) -> str:
     """Return the input that triggers a camera: that of its make, else the first line among its trigger sources."""
     lines = sorted(source for source in sources if re.fullmatch(r"Line\d+", source))
+    # PCO1600: ExtTrig; its ExtTrigAndAcqEnbl needs a second wire.
+    lines = lines or [source for source in sources if re.match(r"Line|Ext", source)]
     usual = make_of(vendor).line
     return usual if usual in lines or not lines else lines[0]
 

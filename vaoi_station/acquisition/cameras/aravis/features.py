@@ -116,6 +116,13 @@ class Features:
         node = self._device.get_feature(name)
         return (node.get_unit() or "").strip() if self.kind(name) == "float" else ""
 
+    def text(self, name: str) -> str:
+        """Return what the description says of a number in words; an empty text if the camera has no such number."""
+        if self.kind(name) not in ("integer", "float"):
+            return ""
+        node = self._device.get_feature(name)
+        return f"{node.get_tooltip() or ''} {node.get_description() or ''}"
+
     def select(self, at: At) -> None:
         """Let selectors stand at entries."""
         for selector, entry in at:

@@ -12,6 +12,7 @@ import functools
 import importlib.util
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,14 @@ def version() -> tuple[int, int, int]:
     library = shared_library()
     major, minor, micro = (getattr(library, f"arv_get_{part}_version")() for part in ("major", "minor", "micro"))
     return int(major), int(minor), int(micro)
+
+
+def text_of(read: Callable[[], str | None]) -> str:
+    """Return a text that a camera has, as its vendor; empty if it has none, or one that is not in UTF-8."""
+    try:
+        return read() or ""
+    except UnicodeDecodeError:
+        return ""
 
 
 def received_bytes(buffer: Any) -> int:

@@ -75,6 +75,8 @@ def packet_bytes(wanted: int | None, mtu: int, limits: PacketLimits) -> int:
 
 _STREAM_PORT, _PACKET_SIZE, _PACKET_DELAY, _STREAM_ADDRESS = 0x0D00, 0x0D04, 0x0D08, 0x0D18
 """Registers of the first stream channel: port, packet size, pause and address to which it sends (GigE Vision)."""
+_CLOCK_CONTROL, _LATCH, _CLOCK_HIGH, _CLOCK_LOW = 0x0944, 2, 0x0948, 0x094C
+"""Register that latches the time, the value that does it, and the registers that then have it."""
 _FIRE, _DO_NOT_FRAGMENT, _FLAGS = 1 << 31, 1 << 30, 0xFFFF0000
 """Bits of the register of the packet size."""
 TEST_S, TEST_TRIES, TEST_STEP = 0.05, 3, 64
@@ -107,6 +109,12 @@ def set_packet_size(device: Any, size: int) -> int:
     """Write the packet size into its register, which is the same in all GigE cameras; return what it then reads."""
     device.write_register(_PACKET_SIZE, device.read_register(_PACKET_SIZE) & _FLAGS & ~_FIRE | size)
     return int(device.read_register(_PACKET_SIZE)) & ~_FLAGS
+
+
+def latched_ticks(device: Any) -> int:
+    """Return the time of a camera in its ticks, by registers that GigE Vision has for it; some do not describe them."""
+    device.write_register(_CLOCK_CONTROL, _LATCH)
+    return int(device.read_register(_CLOCK_HIGH)) << 32 | int(device.read_register(_CLOCK_LOW))
 
 
 def set_pause(device: Any, ticks: int) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 from vaoi_station.acquisition.cameras.aravis import families
 from vaoi_station.acquisition.cameras.aravis.families import Neutral, Wanted
 from vaoi_station.acquisition.cameras.aravis.features import At, Features, Value, answered
-from vaoi_station.acquisition.cameras.aravis.library import glib_error
+from vaoi_station.acquisition.cameras.aravis.library import glib_error, text_of
 from vaoi_station.acquisition.cameras.interface import (
     GAIN_TOLERANCE_DB,
     CameraLimits,
@@ -84,12 +85,12 @@ class Control:
     @cached_property
     def vendor(self) -> str:
         """The name of its vendor."""
-        return self.camera.get_vendor_name() or ""
+        return text_of(self.camera.get_vendor_name)
 
     @cached_property
     def model(self) -> str:
         """The name of its model."""
-        return self.camera.get_model_name() or ""
+        return text_of(self.camera.get_model_name)
 
     def put(self, setting: Setting) -> None:
         """Write a setting, read it back and compare; DeviceError if it is refused or ignored."""
@@ -149,6 +150,8 @@ class Control:
                 if unit not in families.TIME_UNITS_US:
                     raise self._lacks(f"states {feature} in {unit!r}, which is no unit of time")
                 return feature, families.TIME_UNITS_US[unit]
+        if re.search(families.MICROSECONDS, self.features.text(families.RAW_EXPOSURE)):
+            return families.RAW_EXPOSURE, 1.0
         raise self._lacks(f"has no exposure to set ({', '.join(families.EXPOSURES)})")
 
     def gain(self) -> Gain | None:
@@ -376,7 +379,7 @@ def _known_start(control: Control, config: CameraConfig) -> Iterator[Setting]:
     line = _require_line(control, config)
     at_line = {"TriggerSelector": tuple(entry for _, entry in trigger), "LineSelector": (line,)}
     yield from _put(control, [Setting("TriggerSource", line, at=trigger)])
-    if features.has("TriggerActivation"):
+    if features.has("TriggerActivation") and features.entries("TriggerActivation") != ("None",):  # PCO1600: by a switch
         yield from _put(control, [Setting("TriggerActivation", "RisingEdge", at=trigger)])
     yield from _neutralised(control, AT_THE_TRIGGER, at_line)
     yield from _put(control, [Setting("TriggerMode", "On", at=trigger)])
@@ -457,12 +460,14 @@ def _format_and_region(control: Control, config: CameraConfig) -> Iterator[Setti
     region = (("Width", config.width), ("Height", config.height))
     offsets = (("OffsetX", config.offset_px[0]), ("OffsetY", config.offset_px[1]))
     moved = [(name, wanted) for name, wanted in offsets if wanted or features.has(name)]
+    first: dict[str, int] = {}
     for name, _ in moved:
         low, high, _ = features.limits(name) or (0, 0, 1)
         if low < high:
+            first[name] = int(low)  # PCO1600 counts from 1
             yield Setting(name, int(low))
     for name, wanted in (*region, *moved):
-        yield Setting(name, wanted)
+        yield Setting(name, wanted or first.get(name, 0))
 
 
 def _exposure(control: Control, config: CameraConfig) -> Iterator[Setting]:
