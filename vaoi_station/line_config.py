@@ -87,6 +87,9 @@ class Line(Section):
     """Time between two pulses; longer than every exposure."""
     tail_s: NotNegative
     """Time for which pulses continue after the board has left the barrier."""
+    transport_s: tuple[NotNegative, Positive] = (0.0, 30.0)
+    """Shortest and longest time from the start of a board's transport, as the neighbour's messages tell it, to the
+    barrier."""
     longest_board_mm: Positive
     """Longest board, along the motion; it determines the size of the ring."""
     carrier_mm: Positive | None = None
@@ -133,7 +136,7 @@ class Line(Section):
             raise ValueError("conveyor_mm_s is [0, 0], but must not be zero")
         if fault := self.encoder_fault():
             raise ValueError(fault)
-        for key in ("speed_limits_mm_s", "rail_limits_mm"):
+        for key in ("speed_limits_mm_s", "rail_limits_mm", "transport_s"):
             limits = getattr(self, key)
             if limits is not None and limits[0] > limits[1]:
                 raise ValueError(f"{key} is {list(limits)}, but must begin with the lower limit")

@@ -32,15 +32,17 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Housekeeping, Retention
 from vaoi_station.runs.control.acquisition_link import AcquisitionLink, Launch, spawn_launcher
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.control.coordinator import MakeOrder, StationCoordinator
+from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.core import Parts
+from vaoi_station.runs.control.order_requests import MakeOrder
 from vaoi_station.runs.handover.handover import Handover
 from vaoi_station.runs.host.machine import RemountWatch
 from vaoi_station.runs.host.processes import no_collections
 from vaoi_station.runs.host.service import StatusNotice, StopRequest, Supervisor, notify, until_started
 from vaoi_station.runs.run.memory import BayGrants
-from vaoi_station.runs.run.order import OrderFactory, StandingOrder
+from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store

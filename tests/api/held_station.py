@@ -14,6 +14,7 @@ from tests.api.held.history import HeldHistory, HeldTypes
 from tests.api.held.inspection import held_components, held_quality, held_timeline
 from tests.api.held.lighting import HeldLighting
 from tests.api.held.mosaics import HeldKeptMosaics, HeldMerged, HeldMosaics
+from tests.api.held.orders import held_orders
 from tests.api.held.pins import HeldPins, HeldStorage
 from vaoi_station.api.encoders import ImageFormat, encode_image
 from vaoi_station.clamping import Clamped, ClampedRequest, clamp
@@ -102,6 +103,7 @@ class HeldStation(StationCoordinator):
         self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
         self.lights: tuple[str, ...] = ()
+        self.orders = held_orders(self.board_type)
         self.lighting = HeldLighting(self)  # type: ignore[assignment]
         self.merged = HeldMerged(self)  # type: ignore[assignment]
         self.mosaics = HeldMosaics(self)
@@ -207,13 +209,16 @@ class HeldStation(StationCoordinator):
 
     def arm(
         self,
-        board_type: str,
+        board_type: str | None,
         board_id: str | None = None,
         job_id: str | None = None,
         runs: int | None = None,
         allow_lost_cameras: bool = False,
         passing: Passing = "wait",
     ) -> StationSnapshot:
+        if board_type is None:
+            self.state = StationState.ARMED
+            return self.snapshot()
         self.board_type(board_type)
         if self.lost and not allow_lost_cameras:
             action = "Check its cable. To film boards without it, arm with allow_lost_cameras."

@@ -141,6 +141,9 @@ EXPECTED = {
         "DELETE /runs/{run}/pin",
         "PUT /runs/{run}/decision",
         "PUT /runs/{run}/identity/next-machine",
+        "POST /orders",
+        "PATCH /orders/{order}",
+        "DELETE /orders/{order}",
     },
     "teach": {
         "POST /cameras/{camera}/trial",

@@ -74,6 +74,8 @@ def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -
         "ImportOptions",
         "MarksRequest",
         "MethodRequest",
+        "OrderChange",
+        "OrderRequest",
         "ProgramRequest",
         "Reading",
         "SettingChange",

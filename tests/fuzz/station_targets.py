@@ -27,8 +27,9 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.housekeeping import Retention
 from vaoi_station.runs.archive.recordings import RUN_FILE
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
-from vaoi_station.runs.run.order import OrderFactory, StandingOrder
+from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 from vaoi_station.store.documents import digest_of

@@ -118,7 +118,7 @@ class Examples(ScriptedHandler):
             content = json.dumps(example).encode()  # documents with keys of the user refuse others
         self.send(int(status), CONTENTS.get(operation, content))
 
-    do_GET = do_PUT = do_POST = do_DELETE = answer  # noqa: N815  (the names are the base class's)
+    do_GET = do_PUT = do_POST = do_PATCH = do_DELETE = answer  # noqa: N815  (the names are the base class's)
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +135,11 @@ def _calls(station: vaoi.Station, folder: Path) -> dict[type, dict[str, Callable
     of_station: dict[str, Callable[[Any], Any]] = {
         "snapshot": lambda s: s.snapshot(),
         "arm": lambda s: s.arm("demo", runs=1, passing="wait"),
+        "arm_for_orders": lambda s: s.arm_for_orders(),
+        "orders": lambda s: s.orders(),
+        "add_order": lambda s: s.add_order("demo", board_id="SN-1", skip=["2"]),
+        "move_order": lambda s: s.move_order("01m8maam97-kez5a5", position=1),
+        "withdraw_order": lambda s: s.withdraw_order("01m8maam97-kez5a5"),
         "disarm": lambda s: s.disarm(),
         "events": lambda s: list(s.events(0)),
         "runs": lambda s: s.runs(1, verdict="ok"),

@@ -24,6 +24,7 @@ from vaoi_station.api.routes import (
     keys,
     metrics,
     mosaics,
+    orders,
     pictures,
     runs,
     station,
@@ -94,7 +95,7 @@ def create_app(
     problems.install(app)
     # First, because routes are tried in order, and a browser asks for dozens of files of a page at once.
     pages.install(app)
-    nouns = (station, board_types, runs, trends, pictures, batch, mosaics, events)
+    nouns = (station, orders, board_types, runs, trends, pictures, batch, mosaics, events)
     routers = [noun.router(services) for noun in nouns]
     camera_trials = CameraTrials(services.coordinator)
     routers += [

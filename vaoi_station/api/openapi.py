@@ -86,7 +86,16 @@ _ALWAYS = frozenset({400, 421, 422, 500})
 _OF_THE_API = _ALWAYS | {401, 403, 503}
 _OF_A_COMMAND = frozenset({408, 409, 413})
 _OF_A_RUN = frozenset({404, 409, 410})
-_ABSENT = ("/station/arm", "/runs", "/runs/latest", "/runs/next", "/doctor", "/calibration/trial", "/trial/calibration")
+_ABSENT = (
+    "/station/arm",
+    "/orders",
+    "/runs",
+    "/runs/latest",
+    "/runs/next",
+    "/doctor",
+    "/calibration/trial",
+    "/trial/calibration",
+)
 """Ends of paths without parameters that may name something that does not exist, or ask for it."""
 
 

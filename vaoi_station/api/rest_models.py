@@ -39,6 +39,9 @@ class ArmRequest(Strict):
         default=None, min_length=1, max_length=200, description="The caller's id of the job."
     )
     runs: int | None = Field(default=None, ge=1, le=1_000_000, description="Disarm after this number of runs.")
+    orders: bool | None = Field(
+        default=None, description="In place of a board type: film the boards for which orders wait, and no others."
+    )
     allow_lost_cameras: bool | None = Field(
         default=None, description="Arm although a camera is not ready; boards are filmed without it."
     )
@@ -47,6 +50,29 @@ class ArmRequest(Strict):
         description="While a board passes, which keeps the order before: `wait` until it has left (the default), take "
         "effect `after` it and reply at once, or `refuse`.",
     )
+
+
+class OrderRequest(Strict):
+    """An order for one board."""
+
+    board_type: str = Field(min_length=1, max_length=200, description="Name of a stored board type.")
+    board_id: CallerId | None = Field(default=None, min_length=1, max_length=200, description="Id of the board.")
+    job_id: PlainText | None = Field(default=None, min_length=1, max_length=200, description="Id of the job.")
+    skip: tuple[Annotated[PlainText, Field(min_length=1, max_length=80)], ...] = Field(
+        default=(), max_length=1000, description="Positions of the boards of a panel that are not to be tested."
+    )
+    side: Literal["top", "bottom"] | None = Field(
+        default=None, description="The side that is filmed; refused if the board type describes the other one."
+    )
+    priority: int = Field(default=0, ge=-1000, le=1000, description="Orders of a higher priority come first.")
+    allow_lost_cameras: bool = Field(default=False, description="Film the board although a camera is not ready.")
+
+
+class OrderChange(Strict):
+    """Another place of an order in the queue: a position or a priority."""
+
+    position: int | None = Field(default=None, ge=1, le=1000, description="Position, 1 for the next board.")
+    priority: int | None = Field(default=None, ge=-1000, le=1000, description="As that of a new order.")
 
 
 class BoardTypeList(Strict):

@@ -88,7 +88,7 @@ class Client:
 
     def act(
         self,
-        method: Literal["POST", "PUT", "DELETE"],
+        method: Literal["POST", "PUT", "PATCH", "DELETE"],
         path: str,
         document: dict[str, Any] | None = None,
         headers: dict[str, str] | None = None,
@@ -112,7 +112,7 @@ class Client:
     def write(
         self,
         model: type[M],
-        method: Literal["POST", "PUT", "DELETE"],
+        method: Literal["POST", "PUT", "PATCH", "DELETE"],
         path: str,
         document: dict[str, Any] | None = None,
         headers: dict[str, str] | None = None,

@@ -144,6 +144,11 @@ class AsyncStation(_InThreads[Station]):
 
     snapshot = in_thread(Station.snapshot)
     arm = in_thread(Station.arm)
+    arm_for_orders = in_thread(Station.arm_for_orders)
+    orders = in_thread(Station.orders)
+    add_order = in_thread(Station.add_order)
+    move_order = in_thread(Station.move_order)
+    withdraw_order = in_thread(Station.withdraw_order)
     disarm = in_thread(Station.disarm)
     runs = in_thread(Station.runs)
     counts = in_thread(Station.counts)

@@ -60,6 +60,8 @@ from vaoi_station.runs.states.schemas import (
     HeightList,
     LeaseStatus,
     LimitsReport,
+    OrderList,
+    OrderStatus,
     PartPage,
     PartsDocument,
     ReferenceStatus,
@@ -518,6 +520,17 @@ class RunFilters(TypedDict, total=False):
     before: str
 
 
+class OrderOptions(TypedDict, total=False):
+    """What an order may state beside its board type."""
+
+    board_id: str
+    job_id: str
+    skip: Sequence[str]
+    side: Literal["top", "bottom"]
+    priority: int
+    allow_lost_cameras: bool
+
+
 class Station:
     """A connection to a running station. Every refusal is raised as the `VaoiError` that the station reports.
 
@@ -574,6 +587,35 @@ class Station:
         given = {name: value for name, value in order.items() if value is not None}
         given |= {"allow_lost_cameras": True} if allow_lost_cameras else {}
         return self._given("/station/arm", self._client.post("/station/arm", **given))
+
+    def arm_for_orders(self, *, passing: Passing | None = None) -> dict[str, Any]:
+        """Arm the line for the boards for which orders wait, and no others: the next board is the first order's."""
+        given = {} if passing is None else {"passing": passing}
+        return self._given("/station/arm", self._client.post("/station/arm", orders=True, **given))
+
+    def orders(self) -> tuple[OrderStatus, ...]:
+        """Return the orders that no board has taken yet, the next one first."""
+        return self._client.read(OrderList, "/orders").orders
+
+    def add_order(self, board_type: str, **options: Unpack[OrderOptions]) -> OrderStatus:
+        """Let an order wait for its board, behind all of the same or a higher priority.
+
+        Args:
+            board_type: name of the board type.
+            **options: `board_id`, `job_id`, `skip` (positions of a panel that are not to be tested), `side` ("top",
+                "bottom": refused if the board type is of the other one), `priority`, `allow_lost_cameras`.
+        """
+        return self._client.write(OrderStatus, "POST", "/orders", {"board_type": board_type, **options})
+
+    def move_order(self, order: str, *, position: int | None = None, priority: int | None = None) -> OrderStatus:
+        """Give an order another position, 1 for the next board, or another priority."""
+        change = {"position": position, "priority": priority}
+        given = {name: value for name, value in change.items() if value is not None}
+        return self._client.write(OrderStatus, "PATCH", f"/orders/{quote(order, safe='')}", given)
+
+    def withdraw_order(self, order: str) -> None:
+        """Withdraw an order that waits. A board that is at the barrier keeps it."""
+        self._client.act("DELETE", f"/orders/{quote(order, safe='')}")
 
     def disarm(self) -> dict[str, Any]:
         """Disarm the line: film no further board. Return the station's state."""

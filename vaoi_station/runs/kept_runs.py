@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
 from vaoi_station.model import Status
+from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
@@ -60,6 +61,8 @@ class KeptRuns:
         self.recordings.program = config.program
         self.archive_status: Callable[[], ArchiveStatus | None] = lambda: None
         """Function that returns the state of the archive to which runs are handed."""
+        self.on_identified: Callable[[str, IdentityDocument], None] = lambda _run, _found: None
+        """Function that is called with a run whose codes were read. It must return at once."""
         self.heights, self.parts, self.mosaics = heights, parts, mosaics
         self.identities = ReadIdentities(archive, render, frames.bay_of, events)
         self.history = RunHistory(archive, events)
@@ -118,7 +121,10 @@ class KeptRuns:
     def _identity_changed(self, run: str) -> None:
         """Keep a run that its identity degrades as others that are not ok, and renew its record; it returns at once."""
         with suppress(VaoiError):  # The run was forgotten.
-            detail = self._archive.get(run).detail
+            finished = self._archive.get(run)
+            detail = finished.detail
+            if finished.identity is not None:
+                self.on_identified(run, finished.identity)
             if detail.verdict is not Status.OK and detail.frames_available:
                 self.recordings.finished(detail)
         self.recordings.update(run)

@@ -27,6 +27,8 @@ class Expectation:
     corner_mm: tuple[float | None, float | None] = (None, None)
     """Lowest x and lowest y of the board in row 0, tester coordinates; None where unknown."""
     tolerance_mm: float = 4.0
+    skipped: tuple[str, ...] = ()
+    """Positions of the boards of a panel that are not to be tested, as an earlier machine has stated."""
 
 
 def turned_by(rotation_deg: int | None) -> Expectation:

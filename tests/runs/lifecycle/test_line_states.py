@@ -32,8 +32,9 @@ from vaoi_station.runs.control import line_control
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.core import Core, Parts
 from vaoi_station.runs.control.line_control import Completion
-from vaoi_station.runs.run.order import Order, OrderFactory, Resumed
+from vaoi_station.runs.run.order import Order, OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.standing_order import Resumed
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.store import Store
 

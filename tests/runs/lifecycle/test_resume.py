@@ -9,7 +9,7 @@ import pytest
 from vaoi_station.acquisition.process import messages
 from vaoi_station.model import Reason
 from vaoi_station.runs.control.core import Core, Parts
-from vaoi_station.runs.run.order import Resumed, StandingOrder
+from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 
 
 class Line:

@@ -17,7 +17,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.line_config import ExpectedBoard, Line
 from vaoi_station.model import CameraHead, RecordingHead, Status, Stitch
 from vaoi_station.runs.run.boards import BoardAccount, TriggerWatch, measure_passage, way_by_encoder
-from vaoi_station.runs.run.order import Orders
+from vaoi_station.runs.run.orders import Orders
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.workers.run_stitcher import RunStitcher

@@ -10,9 +10,11 @@ import pytest
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.model import BoardType, Calibration, Visibility
-from vaoi_station.runs.run.order import Order, OrderFactory, Orders, StandingOrder
+from vaoi_station.runs.run.order import Order, OrderFactory
+from vaoi_station.runs.run.orders import Orders
 from vaoi_station.runs.run.progress import Progress
 from vaoi_station.runs.run.reference_store import ReferenceStore
+from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.store import Store
 
 

@@ -41,21 +41,24 @@ def router(services: Services) -> APIRouter:
         board_id: BoardId = None,
         job_id: JobId = None,
         runs: Annotated[int | None, Query(ge=1, le=1_000_000)] = None,
+        orders: bool | None = None,
         allow_lost_cameras: bool | None = None,
         passing: Passing | None = None,
     ) -> StationSnapshot:
         """Arm the station: film every board from now on. The order is given as JSON body, query parameters, or both.
 
         Replies when the order is in force. While a board passes, which keeps the order before, this waits until it has
-        left; with `passing=after` it replies at once (`next_order`), with `passing=refuse` 409. 404: unknown board
-        type; 409: the station is faulted; 503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms without
-        it), or all memory is in use (the detail names the holders).
+        left; with `passing=after` it replies at once (`next_order`), with `passing=refuse` 409. Orders that wait
+        (`orders`) come first, and with `orders=true` only they. 404: unknown board type; 409: the station is faulted;
+        503: a camera is lost (code `camera-lost`; `allow_lost_cameras` arms without it), or all memory is in use (the
+        detail names the holders).
         """
         given = {
             "board_type": board_type,
             "board_id": board_id,
             "job_id": job_id,
             "runs": runs,
+            "orders": orders,
             "allow_lost_cameras": allow_lost_cameras,
             "passing": passing,
         }
@@ -103,7 +106,10 @@ def _merged(request: ArmRequest, given: dict[str, Any]) -> ArmRequest:
                 f"{key} is {merged[key]!r} in the body and {value!r} in the query.", action="Give the value once."
             )
         merged[key] = merged[key] if value is None else value
-    if not merged["board_type"]:
+    given_too = [key for key in ("board_type", "board_id", "job_id", "runs") if merged[key] is not None]
+    if merged["orders"] and given_too:
+        raise InputError(f"orders excludes {', '.join(given_too)}.", action="Give orders alone, or a board type.")
+    if not merged["orders"] and not merged["board_type"]:
         raise InputError(
             "board_type is missing; it must name a stored board type.",
             action="Choose a board type from /api/v1/board-types.",

@@ -20,7 +20,7 @@ from vaoi_station.clamping import Clamped, ClampedRequest, clamp
 from vaoi_station.config import StationConfig
 from vaoi_station.drift.recalibrate import Proposal
 from vaoi_station.errors import DeviceError, InputError, StateError
-from vaoi_station.model import BoardType, Calibration, FrameRecord, Reason, Stitch
+from vaoi_station.model import Calibration, FrameRecord, Reason, Stitch
 from vaoi_station.rendering import ChosenImages, ImageRequest
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
@@ -30,8 +30,9 @@ from vaoi_station.runs.archive.measured_parts import DIRECTORY as GOOD_BOARDS
 from vaoi_station.runs.archive.measured_parts import MeasuredParts
 from vaoi_station.runs.batches.batches import BatchAccess
 from vaoi_station.runs.control.core import Core, Parts
+from vaoi_station.runs.control.order_requests import MakeOrder, OrderRequests
 from vaoi_station.runs.control.pictures import FrameAccess, ViewRequest
-from vaoi_station.runs.control.status import renew_permit, snapshot_of, status_line
+from vaoi_station.runs.control.status import line_held, renew_permit, snapshot_of, status_line
 from vaoi_station.runs.control.teaching import BoardTypeRequests
 from vaoi_station.runs.host.processes import GcPolicy
 from vaoi_station.runs.kept_runs import KeptRuns
@@ -42,7 +43,7 @@ from vaoi_station.runs.mosaics.kept_mosaics import KeptMosaics
 from vaoi_station.runs.mosaics.mosaics import Mosaics
 from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.memory import OWN
-from vaoi_station.runs.run.order import Order, Passing
+from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.states.schemas import (
@@ -64,9 +65,6 @@ ARM_LIMIT_S = 30.0
 """Longest wait for the acquisition process to confirm arming or disarming."""
 MAX_RUNS_LISTED = 1000
 """Largest number of runs that one request for the list of runs returns."""
-
-MakeOrder = Callable[[BoardType, "str | None", "str | None"], Order]
-"""Function that checks a board type, and makes an order from it, the board id and the job id."""
 
 
 class StationCoordinator(BoardTypeRequests):
@@ -105,6 +103,8 @@ class StationCoordinator(BoardTypeRequests):
         self.thread = self._inbox.thread
         """The coordinator's thread."""
         self._core, self.storage = Core(parts, self._inbox.post), parts.archive.storage
+        held = lambda: line_held(self._core, parts.config, processes, self.faults())  # noqa: E731
+        self.orders = OrderRequests(self._inbox, self._core, make_order, self.board_type, held)
         parts.archive.on_announced = lambda run, until_s: self._inbox.post(self._core.announced, run, until_s)
         access = self._frames = FrameAccess(self._inbox, self._core, ring, parts.archive, parts.workers)
         config, events, fields = parts.config, parts.events, parts.config.flat_fields
@@ -124,6 +124,7 @@ class StationCoordinator(BoardTypeRequests):
             self.kept.trends.sigma_limit_px = sigma_limit_px(sum(parts.px_per_mm) / len(parts.px_per_mm))
         recorded = access.recorded = self.parts.recorded = self.kept.recordings.frame_file
         of_runs = parts.archive.get, parts.archive.explained, access.lease, recorded, access.render
+        self.kept.on_identified = lambda run, found: self._inbox.post(self._core.identified, run, found)
         self.merged = MergedAccess(*of_runs, fields, known)
         self.batches = BatchAccess(*of_runs, self.merged, known, self.kept.shown)
         self.lighting = Lighting(parts.config, parts.px_per_mm, ring, self._inbox, self._core.trial, self._core.devices)
@@ -183,14 +184,14 @@ class StationCoordinator(BoardTypeRequests):
 
     def arm(
         self,
-        board_type: str,
+        board_type: str | None,
         board_id: str | None = None,
         job_id: str | None = None,
         runs: int | None = None,
         allow_lost_cameras: bool = False,
         passing: Passing = "wait",
     ) -> StationSnapshot:
-        """Arm the line: film every board from now on, or only the next `runs` boards.
+        """Arm the line: film every board from now on, or only the next `runs` boards; None: those with an order.
 
         Returns once the order is in force. A board that is passing keeps the order before: the new one waits until it
         has left, or this returns at once and the order takes effect then ("after"), or it is refused ("refuse").
@@ -204,8 +205,11 @@ class StationCoordinator(BoardTypeRequests):
         if runs is not None and runs < 1:
             raise InputError.field("arm", "runs", runs, "at least 1, or absent")
         # An unusable board type is refused here, in the caller's thread, before a board comes.
-        order = self._make_order(self.board_type(board_type), board_id, job_id)
-        order = replace(order, despite_lost_cameras=allow_lost_cameras)
+        order = None
+        if board_type is not None:
+            order = self._make_order(self.board_type(board_type), board_id, job_id)
+            order = replace(order, despite_lost_cameras=allow_lost_cameras)
+        self.orders.renew()
         armed: Future[None] = Future()
         waits = self._inbox.ask(self._core.arm, order, runs, armed, passing)
         for left in reversed(range(waits)):

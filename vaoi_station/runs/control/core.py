@@ -22,6 +22,7 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError, VaoiError
 from vaoi_station.model import Calibration, Reason, Status
+from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
@@ -33,8 +34,9 @@ from vaoi_station.runs.control.reasons import StationStateMachine, sentence
 from vaoi_station.runs.lighting.trials import CameraTrial
 from vaoi_station.runs.run.boards import UNWATCHED, BoardAccount, TriggerWatch
 from vaoi_station.runs.run.memory import Memory
-from vaoi_station.runs.run.order import Order, Passing, Resumed, StandingOrder
+from vaoi_station.runs.run.order import Order, Passing
 from vaoi_station.runs.run.progress import WHOLE, Progress
+from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.run.verdict import conclude, with_faults
 from vaoi_station.runs.states.run_ids import RunIds, utc
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
@@ -131,13 +133,13 @@ class Core:
 
     # --- requests of callers
 
-    def arm(self, order: Order, runs: int | None, completion: Completion, passing: Passing = "wait") -> int:
+    def arm(self, order: Order | None, runs: int | None, completion: Completion, passing: Passing = "wait") -> int:
         """Arm the line. The completion is set once the order is in force, or carries the refusal.
 
         Returns for how many things the caller waits in turn: a board that passes, then cameras and controller. 0: the
         order takes effect when the board has left, and the caller does not wait for it.
         """
-        if order.calibration_digest != self.watch.digest:
+        if order is not None and order.calibration_digest != self.watch.digest:
             # It was made, in the thread of the caller, just before another calibration came into force.
             raise StateError("The calibration was changed at this moment.", action="Arm again.")
         board_passes = self.machine.state is StationState.FILMING
@@ -148,11 +150,11 @@ class Core:
         self.line.arm(order, runs, completion)
         return 0 if later else 2 if board_passes else 1
 
-    def _report_order(self, order: Order, later: bool, completion: Completion) -> None:
+    def _report_order(self, order: Order | None, later: bool, completion: Completion) -> None:
         """Publish the notes of an order that is in force, and why one did not take effect if no caller waits for it."""
         refusal = completion.exception()
         if refusal is None:
-            for note in order.notes:
+            for note in order.notes if order is not None else ():
                 self._events.add("trouble", note.message, code=note.code, action=note.action)
         elif later and isinstance(refusal, VaoiError):
             message = f"The order given while a board passed did not take effect: {refusal.message}"
@@ -195,7 +197,7 @@ class Core:
 
     def require_disarmed(self) -> None:
         """Raise StateError if boards may come: what their runs need must not change."""
-        if self.line.orders.order is not None or self.filming:
+        if self.line.orders.armed or self.filming:
             doing = "A board is passing" if self.filming else "The line is armed"
             raise StateError(f"{doing}; nothing was changed.", action="Disarm the line, then do it.", code="line-armed")
 
@@ -220,6 +222,19 @@ class Core:
         self.watch.adopt(calibration)
         made = calibration.created or "unknown when"
         self._events.add("calibration", f"Another calibration is in force, made {made}.")
+
+    def identified(self, run: str, found: IdentityDocument) -> None:
+        """Compare the id that was read from a board with the orders that wait: boards may be out of step with them."""
+        orders, read = self.line.orders, found.board_id
+        if read is None or not found.read or orders.queue.first is None:
+            return
+        waits = any(queued.order.board_id == read for queued in orders.queue.waiting)
+        if waits or found.armed_board_id not in (None, read):
+            order = "whose order still waits" if waits else f"but took the order of {found.armed_board_id!r}"
+            orders.doubt(float("-inf"), time.monotonic(), f"run {run} showed board {read!r}, {order}")
+            message = f"The board of this run is {read!r}, {order}: boards and orders are out of step."
+            action = "Compare the boards on the line with the orders, withdraw those that have passed, and arm again."
+            self._events.add("trouble", message, run=run, code="orders-out-of-step", action=action)
 
     def devices(self) -> messages.Health | None:
         """Return the latest report of the devices; None while there is none."""
@@ -303,8 +318,7 @@ class Core:
             case messages.Trouble():
                 self._on_trouble(message)
             case messages.BoardMissed():
-                memory = "" if self.line.has_grant else f"Memory: {self.memory.holders()}."
-                self.boards.board_missed(message, memory, time.monotonic())
+                self._on_board_missed(message)
             case messages.MissedPassage():
                 self.boards.passage_missed(message, time.monotonic())
             case messages.Armed():
@@ -341,6 +355,15 @@ class Core:
         self.trial.acquisition_ended(description)
         self.boards.unwatched(time.monotonic(), f"{description}, and boards may have passed unnoticed")
         self.line.on_acquisition_ended(description)
+
+    def _on_board_missed(self, report: messages.BoardMissed) -> None:
+        now_s = time.monotonic()
+        if why := self.line.unordered:
+            action = "Film it again with its order; if boards were exchanged, arm again before the next one."
+            self.boards.board_missed(replace(report, reason=why), action, now_s, code="board-without-order")
+        else:
+            memory = "" if self.line.has_grant else f"Memory: {self.memory.holders()}."
+            self.boards.board_missed(report, memory, now_s, code="board-missed")
 
     def _on_run_started(self, report: messages.RunStarted) -> None:
         order = self.line.take_grant(report.run, report.host_time_s)

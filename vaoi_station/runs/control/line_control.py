@@ -19,7 +19,10 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.reasons import StationStateMachine
 from vaoi_station.runs.run.memory import Memory
-from vaoi_station.runs.run.order import Order, Orders, Resumed, StandingOrder
+from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.run.order_queue import OrderQueue
+from vaoi_station.runs.run.orders import Orders
+from vaoi_station.runs.run.standing_order import Resumed, StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds
 from vaoi_station.runs.states.schemas import ArmedWith
 from vaoi_station.runs.states.tables import RunState, RunStep, StationState, StationStep
@@ -52,9 +55,9 @@ class Acquisition(Protocol):
 
 
 class _Request(NamedTuple):
-    """A request to arm; `runs` is the number of boards to film, None for no limit."""
+    """A request to arm for an order, None: for those that wait; `runs` is the number of boards to film, None: all."""
 
-    order: Order
+    order: Order | None
     runs: int | None
     completion: Completion
 
@@ -80,7 +83,9 @@ class LineControl:
     ) -> None:
         self._config, self._acquisition, self._machine = config, acquisition, machine
         self._memory, self._run_ids, self._archive, self._events = memory, run_ids, archive, events
-        self._standing, self.orders = standing, Orders()
+        self._standing, self.orders = standing, Orders(queue=OrderQueue(config.line.transport_s))
+        self._set_for: Order | None = None
+        """The order for which cameras and controller were set, and memory was granted last."""
         self.health: messages.Health | None = None
         """The latest report of the devices; None while there is none."""
         self._granted: dict[str, int] = {}
@@ -96,6 +101,8 @@ class LineControl:
         """The trigger plan of the newest Arm command."""
         self.times_blocked = 0
         """Number of times that the armed line had no memory for the next board."""
+        self._setting_since_s: float | None = None
+        """Time since which the line is disarmed to set it for the next order; None if it is not."""
         self._rearm_pace = Backoff(PACE)
         self._not_armed_again: Reason | None = None
         """Why the line is not armed again after a restart or a fault."""
@@ -104,24 +111,25 @@ class LineControl:
 
     def resume(self, resumed: Resumed) -> None:
         """Put the order from before the restart in force; the line is armed as soon as the devices are open."""
-        if resumed.order is None:
-            self._not_armed_again = fault = resumed.fault
-            if fault is not None:
-                self._events.add("trouble", fault.message, code=fault.code, action=fault.action)
-            return
         now_s = time.monotonic()
+        self.orders.queue.resume(resumed.waiting, now_s)
+        self._not_armed_again = resumed.fault
+        for fault in (*resumed.lost, *((resumed.fault,) if resumed.fault is not None else ())):
+            self._events.add("trouble", fault.message, code=fault.code, action=fault.action)
+        if resumed.order is None and not resumed.by_orders:
+            return
         self.orders.accept(resumed.order, resumed.runs, now_s)
         self.orders.resumed = True
         self.orders.doubt(now_s, now_s, "the station was restarted, and boards may have passed unnoticed")
-        message = f"Armed again for board type {resumed.order.board_type.name!r}, as before the restart."
-        self._events.add("armed", message, code="armed-again")
+        self._events.add("armed", f"{_armed_for(resumed.order, 'again ')}, as before the restart.", code="armed-again")
 
-    def arm(self, order: Order, runs: int | None, completion: Completion) -> None:
-        """Arm the line for an order and a number of boards (None: no limit).
+    def arm(self, order: Order | None, runs: int | None, completion: Completion) -> None:
+        """Arm the line for an order and a number of boards (None: no limit); without one, for the orders that wait.
 
         The completion is set once the line is armed, or carries the refusal.
         """
         request, state = _Request(order, runs, completion), self._machine.state
+        first = self.orders.queue.next(order)
         if self._disarm_sent and state in _ARMED_STATES:
             self._after_disarm.append(request)
             return
@@ -129,29 +137,30 @@ class LineControl:
             self._after_board.append(request)
             return
         try:
-            if state in _WITH_PLAN and self._plan_of(order) != self.plan:
-                self._require_cameras(order)
+            if state in _WITH_PLAN and self._plan_of(first) != self.plan:
+                self._require_cameras(first)
                 # Cameras and controller take another plan only when they are disarmed. If they end meanwhile, the order
                 # in force is armed again.
                 self._after_disarm.append(request)
                 self._send_disarm()
                 return
-            if state is StationState.BLOCKED:
+            if state is StationState.BLOCKED and first is not None:
                 self._grant()
                 self._machine.reasons.drop("ring-full")
                 self._machine.advance(StationStep.MEMORY_FREED)
             self._machine.require(StationStep.ARM)
-            self._require_cameras(order)
+            self._require_cameras(first)
             # Memory is granted before the cameras are armed, so that a full ring refuses the caller at once.
-            if state is StationState.IDLE:
+            if state is StationState.IDLE and first is not None:
                 self._grant()
         except (StateError, BusyError, DeviceError) as refusal:
             completion.set_exception(refusal)
             return
         self.orders.accept(order, runs, time.monotonic())
+        self._setting_since_s = None
         self._keep_order()
         self._machine.advance(StationStep.ARM)
-        self._events.add("armed", f"Armed for board type {order.board_type.name!r}.")
+        self._events.add("armed", f"{_armed_for(order)}.")
         if self._machine.state is StationState.ARMED:
             self.keep_memory_granted()
             completion.set_result(None)
@@ -169,19 +178,30 @@ class LineControl:
         """Serve the requests to arm that waited until the boards at the barrier had passed."""
         waiting, self._after_board = self._after_board, []
         self._serve(waiting)
+        self.follow()
+
+    def follow(self) -> None:
+        """Keep the orders that wait, and set cameras and controller for the next one, unless a board is passing."""
+        self._keep_waiting()
+        order = self.orders.next
+        if order is not None and self._machine.state in _WITH_PLAN and self._plan_of(order) != self.plan:
+            # It is armed again as soon as it is disarmed.
+            self._send_disarm()
+            self._setting_since_s = time.monotonic()
+        self.keep_memory_granted()
 
     @property
     def next_order(self) -> ArmedWith | None:
         """The order that takes effect when the board that passes has left; None if there is none."""
         newest = self._after_board[-1] if self._after_board else None
-        return None if newest is None else newest.order.shown(newest.runs)
+        return None if newest is None or newest.order is None else newest.order.shown(newest.runs)
 
     def disarm(self, completion: Completion) -> None:
         """Disarm the line. The completion is set once the acquisition process ignores the barrier."""
         # An order that was given before the disarm must not arm the line after it.
         for request in [*self._after_board, *self._after_disarm]:
             request.completion.set_exception(StateError("The line was disarmed before it was armed."))
-        self._after_board, self._after_disarm = [], []
+        self._after_board, self._after_disarm, self._setting_since_s = [], [], None
         self.orders.cancel(time.monotonic())
         self._keep_order()
         if self._machine.state in _ARMED_STATES:
@@ -220,6 +240,7 @@ class LineControl:
             self._machine.reasons.clear()
             self._machine.advance(StationStep.ARMED)
             self._rearm_pace.reset()
+            self._set_again()
             if self._not_armed_again is not None:
                 self._not_armed_again = None
                 self._events.add("armed", "Armed again: what was against it is over.", code="armed-again")
@@ -236,6 +257,8 @@ class LineControl:
         self._machine.reasons.drop("ring-full")
         self._machine.advance_if_allowed(StationStep.DISARMED)
         self._close_requests(StateError("The line was disarmed before it was armed."))
+        if self._setting_since_s is not None:
+            self.tick()
 
     def on_trouble(self, trouble: messages.Trouble) -> None:
         """Handle a trouble during arming: refuse the waiting requests to arm, or try again later without a caller."""
@@ -271,10 +294,22 @@ class LineControl:
         None if no memory was granted to the run.
         """
         granted = self._granted.pop(run, None)
-        order = self.orders.take(barrier_s)
+        order = self.orders.take(barrier_s, run, self._set_for)
+        if order is not None and self._plan_of(order) != self.plan:
+            why = f"it came before cameras and controller were set for board type {order.board_type.name!r}"
+            order = self.orders.disown(run, self._set_for, why, time.monotonic())
         if self.orders.runs_left is not None:
             self._keep_order()
+        self._keep_waiting()
         return None if granted is None else order
+
+    @property
+    def unordered(self) -> str:
+        """Why no board is to be filmed now although the line is armed; empty if one is."""
+        order = self.orders.next
+        if not self.orders.armed or (order is not None and self._plan_of(order) == self.plan):
+            return ""
+        return "no order waited for it" if order is None else "cameras and controller were not set for its order yet"
 
     @property
     def has_grant(self) -> bool:
@@ -295,8 +330,11 @@ class LineControl:
         becomes armed again when a bay is granted.
         """
         taking = self._machine.state in _TAKING_BOARDS and not self._disarm_sent
-        if not self.orders.wants_more or not taking:
+        order = self.orders.next
+        # A board that follows closely must not be filmed as the order of the board before it.
+        if order is None or not taking or self._plan_of(order) != self.plan:
             return
+        self._set_for = order
         try:
             self._grant()
         except BusyError as refusal:
@@ -316,7 +354,7 @@ class LineControl:
 
     def warnings(self) -> tuple[Reason, ...]:
         """Return warnings about the next board: memory that callers hold, a doubtful board id, a draft."""
-        order, doubt = self.orders.order, None
+        order, doubt = self.orders.next or self.orders.order, None
         if order is not None and (why := self.orders.present_doubt) is not None:
             doubt = Reason(
                 code="board-id-uncertain",
@@ -338,8 +376,13 @@ class LineControl:
 
     def tick(self) -> None:
         """Arm the line again for an order that was not cancelled, when memory and cameras allow it."""
-        order = self.orders.order
-        if order is None or not self.orders.wants_more or self._machine.state is not StationState.IDLE:
+        for board in self.orders.queue.expire(time.monotonic()):
+            message = f"Board {board.name!r} left the machine upstream and did not reach the barrier; its order waits."
+            action = "If it was taken off, let it in again from before that machine, or withdraw its order."
+            self._events.add("trouble", message, code="board-gone", action=action, subject={"board": board.name})
+            self.follow()
+        order = self.orders.next
+        if not self.orders.armed or self._machine.state is not StationState.IDLE or self.orders.runs_left == 0:
             return
         try:
             self._require_cameras(order)
@@ -354,14 +397,18 @@ class LineControl:
         action = f"{action} The station tries again by itself.".strip()
         self._not_armed_again = Reason(code="not-armed-again", message=message, action=action)
 
-    def _require_cameras(self, order: Order) -> None:
-        if not order.despite_lost_cameras:
+    def _require_cameras(self, order: Order | None) -> None:
+        if order is None or not order.despite_lost_cameras:
             readiness.require(self.health, self._config.cameras)
 
     def _keep_order(self) -> None:
         self._not_armed_again = None
         if self._standing is not None:
-            self._standing.keep(self.orders.order, self.orders.runs_left)
+            self._standing.keep(self.orders.order, self.orders.runs_left, by_orders=self.orders.by_orders)
+
+    def _keep_waiting(self) -> None:
+        if self._standing is not None:
+            self._standing.keep_waiting(self.orders.queue.kept)
 
     def _grant(self) -> None:
         if self._granted:
@@ -375,7 +422,8 @@ class LineControl:
     def _rearm(self) -> None:
         reasons = self._machine.reasons
         try:
-            self._grant()
+            if self.orders.next is not None:
+                self._grant()
         except BusyError as refusal:
             # Its message names the present use of the memory; only the first one is published.
             first = all(reason.code != refusal.code for reason in reasons.all())
@@ -388,11 +436,23 @@ class LineControl:
         self._send_arm()
 
     def _send_arm(self) -> None:
-        self.plan = self._plan_of(self.orders.order)
+        self._set_for = self.orders.next
+        self.plan = self._plan_of(self._set_for)
         self._acquisition.send(messages.Arm(self.plan))
 
     def _plan_of(self, order: Order | None) -> TriggerPlan:
         return order.plan if order is not None and order.plan is not None else TriggerPlan.of(self._config.line)
+
+    def _set_again(self) -> None:
+        """Note that the line watches the barrier again, and whether a board may have passed unnoticed meanwhile."""
+        since_s, self._setting_since_s, now_s = self._setting_since_s, None, time.monotonic()
+        order = self._set_for
+        if since_s is None or order is None:
+            return
+        low, high = order.board_type.extent()
+        speed_mm_s = (order.line or self._config.line).speed_mm_s
+        if now_s - since_s > float(min(high - low)) * order.board_type.mm_per_unit / speed_mm_s:
+            self.orders.doubt_since_last(now_s, "boards may have passed while the line was set for another order")
 
     def _send_disarm(self) -> None:
         if not self._disarm_sent:
@@ -419,6 +479,11 @@ class LineControl:
             for request in replaced:
                 newest.completion.add_done_callback(partial(_follow, request.completion))
             self.arm(*newest)
+
+
+def _armed_for(order: Order | None, again: str = "") -> str:
+    whom = "the orders that wait" if order is None else f"board type {order.board_type.name!r}"
+    return f"Armed {again}for {whom}"
 
 
 def _follow(other: Completion, done: Completion) -> None:

@@ -48,6 +48,8 @@ class LineFacts:
     reasons: tuple[Reason, ...]
     """Reasons for the station's state, warnings, and faults of threads."""
     now_s: float
+    without_order: bool = False
+    """Whether the line was armed for waiting orders, and none waits."""
     storage: Reason | None = None
     """The trouble because of which results are not kept on disk at present, also one that does not pass by itself."""
 
@@ -62,6 +64,9 @@ _BY_STATE = {
     StationState.BLOCKED: Reason(code="ring-full", message="No memory is free.", action="Wait, or release a run."),
 }
 _DISARMING = Reason(code="line-not-armed", message="The line is being disarmed.", action="Arm again.")
+_NO_ORDER = Reason(
+    code="no-order", message="No order waits for the next board.", action="Post its order, or arm for a board type."
+)
 _UNREPORTED = Reason(
     code="line-not-armed", message="Cameras and controller have not reported yet.", action="Wait a moment."
 )
@@ -86,7 +91,7 @@ _STANDING = Reason(
     message="A board has been in the light barrier since before the line was armed: it is not filmed.",
     action="Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
 )
-EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped"})
+EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped", "no-order"})
 """Codes with which a board must wait although nothing is wrong."""
 
 
@@ -107,7 +112,7 @@ def _held_by_line(facts: LineFacts) -> Reason | None:
     if facts.state is not StationState.ARMED:
         return _STOPPED if facts.state is StationState.FILMING and stopped else _BY_STATE[facts.state]
     if health is None or not facts.expects_board:
-        return _UNREPORTED if facts.expects_board else _DISARMING
+        return _NO_ORDER if facts.without_order else _UNREPORTED if facts.expects_board else _DISARMING
     if facts.now_s - health.host_time_s > HEALTH_OLD_S:
         return _SILENT
     if not health.controller_ready:

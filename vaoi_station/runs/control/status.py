@@ -32,6 +32,8 @@ from vaoi_station.runs.states.schemas import (
 from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.documents import EVENTS_KEPT
 
+NEXT_ORDERS = 5
+"""Number of orders in the snapshot."""
 _COMPILE_NOTE = "After an installation or an update they compile for a minute or two."
 
 
@@ -46,7 +48,8 @@ def snapshot_of(
     """Build the snapshot of the station, in the coordinator's thread. `ring`: path and size, bytes, of the ring."""
     config, filming, cameras = core.config, core.filming, _cameras(core, core.config)
     held = line_held(core, config, lambda: processes, faults)
-    output, order = core.health.line_output if core.health else None, core.line.orders.order
+    output, orders = core.health.line_output if core.health else None, core.line.orders
+    order = orders.next
     return StationSnapshot(
         name=config.name,
         state=core.machine.state,
@@ -64,8 +67,10 @@ def snapshot_of(
             *core.other_warnings(),
         ),
         set_aside=core.storage.set_aside(),
-        armed_with=core.line.orders.shown(),
+        armed_with=orders.shown(),
         next_order=core.line.next_order,
+        orders=orders.listed()[:NEXT_ORDERS],
+        orders_waiting=len(orders.queue.kept),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),
         line_ready=not held,
@@ -88,7 +93,8 @@ def line_held(
     core: Core, config: StationConfig, processes: Callable[[], tuple[ProcessStatus, ...]], faults: tuple[Reason, ...]
 ) -> tuple[Reason, ...]:
     """Return why the next board must wait; empty if it may come. Call it in the coordinator's thread."""
-    state, order = core.machine.state, core.line.orders.order
+    state, orders = core.machine.state, core.line.orders
+    order = orders.next
     # Only of an armed line is everything evaluated: this runs after every message while frames are being settled.
     others = (*faults, *core.line.warnings())
     if state is StationState.ARMED:
@@ -100,6 +106,7 @@ def line_held(
         order is not None and order.despite_lost_cameras,
         others,
         time.monotonic(),
+        orders.by_orders and order is None,
         core.storage.present(),
     )
     return readiness.held_back(facts, config.cameras)

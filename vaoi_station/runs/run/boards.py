@@ -24,7 +24,7 @@ from vaoi_station.geometry import apply
 from vaoi_station.geometry.transforms import Floats
 from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Reason, RecordingHead, Stitch
-from vaoi_station.runs.run.order import Orders
+from vaoi_station.runs.run.orders import Orders
 from vaoi_station.runs.run.progress import Progress
 
 UNWATCHED = frozenset({"controller-safe", "controller-reset", "events-lost"})
@@ -59,15 +59,16 @@ class BoardAccount:
         self.reports = 0
         """Count of reports of boards without a run: a permit that was given before may have been used by one."""
 
-    def board_missed(self, report: BoardMissed, action: str, now_s: float) -> None:
+    def board_missed(self, report: BoardMissed, action: str, now_s: float, code: str = "board-missed") -> None:
         """Count a board that passed without a run; `action` is what the user can do."""
         self.reports += 1
+        self._orders.queue.missed(report.host_time_s, now_s)
         message = f"A board passed and was not filmed: {report.reason}"
-        self._miss(1, report.host_time_s, now_s, Reason(code="board-missed", message=message, action=action))
+        self._miss(1, report.host_time_s, now_s, Reason(code=code, message=message, action=action))
 
     def passage_missed(self, report: MissedPassage, now_s: float) -> None:
         """Count the boards that followed a missed board, which was counted when it came, within the same passage."""
-        order = self._orders.order
+        order = self._orders.next or self._orders.order
         if order is None or len(report.interruptions) == 0:
             return
         line = order.line or self._line
@@ -90,9 +91,12 @@ class BoardAccount:
         `edge_known` is whether the controller reported when the board interrupted the barrier.
         """
         progress.armed_s = self._orders.taken_since_s
+        if why := self._orders.uncertain:
+            progress.disown(why)
         if not edge_known:
             progress.add_fault(EDGE_LOST)
             progress.doubt_id("the report of the edge at which the board met the barrier was lost")
+            self._orders.queue.disown(progress.run)
         self._check_id(progress)
 
     def end(self, progress: Progress, now_s: float) -> None:
@@ -118,6 +122,7 @@ class BoardAccount:
             progress.add_fault(reason)
             # The pictures may show either board, so the id may be that of the wrong one.
             progress.doubt_id("several boards passed in this run")
+            self._orders.queue.disown(progress.run)
             edge_s = progress.barrier_s + passage.leading_s[-1] - of_barrier[0][0]
             self._miss(passage.boards - 1, edge_s, now_s, reason, progress.run)
         if recorded.reason == "max-rows":
@@ -140,6 +145,7 @@ class BoardAccount:
     def _check_id(self, progress: Progress) -> None:
         if (why := self._orders.doubt_of(progress.armed_s, progress.barrier_s)) is not None:
             progress.doubt_id(why)
+            self._orders.queue.disown(progress.run)
 
     def _miss(self, count: int, edge_s: float, now_s: float, reason: Reason, run: str | None = None) -> None:
         """Count missed boards; `edge_s` is the host time of the last one's edge."""

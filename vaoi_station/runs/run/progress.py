@@ -139,6 +139,13 @@ class Progress:
         action = "Identify the board, arm again with the id of the next board, and film this one again."
         self.add_fault(Reason(code="board-id-uncertain", message=message, action=action))
 
+    def disown(self, why: str) -> None:
+        """State that it is not known which order the board has: it was filmed for that for which the line was set."""
+        self.id_doubted = True
+        message = f"It is not known which order this board has: {why}. The run has no board id."
+        action = "Identify the board, compare the orders that wait, and arm again."
+        self.add_fault(Reason(code="order-uncertain", message=message, action=action))
+
     def salvaged(self, config: StationConfig) -> RunFinished | None:
         """Return the final report that the acquisition process did not send any more; None if there is no row.
 

@@ -132,6 +132,32 @@ class ArmedWith(Strict):
     resumed: bool = False
 
 
+class OrderStatus(Strict):
+    """An order that no board has taken yet."""
+
+    id: str
+    board_type: str
+    board_id: str | None = None
+    job_id: str | None = None
+    skip: tuple[str, ...] = ()
+    """Positions of the boards of a panel that are not to be tested."""
+    side: Literal["top", "bottom"] = "top"
+    priority: int = 0
+    state: Literal["waiting", "coming"] = "waiting"
+    """`coming`: its board is on its way from the machine upstream to the barrier."""
+    certain: bool = True
+    """Whether its board is known to be the next one after those of the orders before. If not, arm again."""
+    created: str
+
+
+class OrderList(Strict):
+    """The orders that no board has taken yet, the next one first."""
+
+    orders: tuple[OrderStatus, ...]
+    by_messages: bool = False
+    """Whether boards take orders by messages of the machine upstream only."""
+
+
 class CameraRecoveryStatus(Strict):
     """The latest step against a camera that hangs."""
 
@@ -285,6 +311,9 @@ class StationSnapshot(Strict):
     armed_with: ArmedWith | None
     next_order: ArmedWith | None = None
     """Order that takes effect when the board that passes has left; None if there is none."""
+    orders: tuple[OrderStatus, ...] = ()
+    """The next orders that no board has taken yet; `GET orders` lists all."""
+    orders_waiting: int = 0
     cameras: tuple[CameraStatus, ...]
     all_cameras_ready: bool
     """Whether all cameras are connected. If False, the next board is filmed with gaps or not at all."""

@@ -209,8 +209,9 @@ class Findings:
 
     @cached_property
     def bad_boards(self) -> tuple[str, ...]:
-        """Positions of the boards of a panel that are crossed out."""
-        return tuple(position for position, marks in self.bad_marks.items() if marks.state == "bad")
+        """Positions of the boards of a panel that are crossed out, or not to be tested by their order."""
+        crossed_out = (position for position, marks in self.bad_marks.items() if marks.state == "bad")
+        return tuple(dict.fromkeys((*crossed_out, *self.expectation.skipped))) if self.board is not None else ()
 
     @cached_property
     def skipped_parts(self) -> frozenset[str]:

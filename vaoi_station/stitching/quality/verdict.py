@@ -105,7 +105,7 @@ def _reasons_of_board(f: Findings, b: PlacedBoard) -> Iterator[Reason]:
     # Without its fiducials nothing shows where a board of the panel lies, whatever locates the panel.
     boards = {position: place for position, place in f.own_places.boards.items() if position not in f.bad_boards}
     yield from board_reasons(boards, f.px_per_mm, searched=f.method.marks)
-    yield from mark_reasons(f.bad_marks)
+    yield from mark_reasons({at: marks for at, marks in f.bad_marks.items() if at not in f.bad_boards})
     yield from fiducial_reasons(b.plane, f.adjusted, f.points, f.moved.motion, f.px_per_mm)
     yield from common_local_reasons(b.plane, f.adjusted, f.points, f.px_per_mm)
     yield from reference_reasons(f.points, f.adjusted.fiducial_px)

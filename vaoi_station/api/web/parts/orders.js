@@ -11,7 +11,7 @@ const GROUPS = {
   wait: ["acquisition-lost", "workers-starting", "devices-silent", "thread-lost", "worker-lost", "line-filming"],
   board: ["board-in-barrier"],
   belt: ["belt-stopped"],
-  none: ["ring-full", "memory-short", "line-not-armed"],
+  none: ["ring-full", "memory-short", "line-not-armed", "no-order"],
 };
 const DISK = /^(storage|database|store$)/;
 
@@ -37,7 +37,7 @@ const BOARD_GROUPS = {
   place: ["components-unseen"],
   identify: [
     "board-id-differs", "next-machine-differs", "codes-disagree", "product-differs", "code-unread", "identity-not-read", "board-id-uncertain",
-    "edge-lost",
+    "edge-lost", "order-uncertain",
   ],
   camera: ["wrong-rows", "camera-displaced", "camera-not-calibrated", "lens-differs", "pictures-blurred", "not-explained"],
   type: [

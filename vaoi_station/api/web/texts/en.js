@@ -772,6 +772,7 @@ const reasons = {
   "worker-lost": "Two processes ended while they worked on this run.",
   "edge-lost": "The report of the board's edge at the barrier was lost.",
   "board-id-uncertain": "The id may belong to another board.",
+  "order-uncertain": "It is not known which order the board has.",
   "reference-unusable": "The reference of the board type is unusable.",
 
   "board-id-differs": "The board's code states another id.",
@@ -903,7 +904,7 @@ export const texts = {
     "board-type-retired": "This type is no longer filmed. Choose another one.",
     "invalid-input": "The station cannot use this type or id. Call the engineer.",
     "no-reference": "This type has no reference. Call the engineer.",
-    "reference-unusable": "The reference of this type is unusable. Call the engineer.",
+  "reference-unusable": "The reference of this type is unusable. Call the engineer.",
     "ring-full": "All memory is in use. Wait, then press again.",
     "wrong-state": "Not possible now. Follow the order above, then press again.",
     "arming-failed": "The devices did not respond in time. Press again.",
