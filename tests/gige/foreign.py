@@ -82,8 +82,8 @@ class ForeignCamera:
         if command == _DISCOVERY:
             return 0, bytes(self.memory[:0xF8])
         if command == _FORCE_IP:
-            if content[2:8] != self.memory[0x0A:0x10]:
-                return None, b""
+            if content[2:8] != self.memory[0x0A:0x10] or self.get(0xA00):
+                return (0x8006 if self.get(0xA00) else None), b""
             if self.address != socket.inet_ntoa(content[20:24]):
                 self.memory[0x24:0x28] = content[20:24]
                 self._serve(self.address)

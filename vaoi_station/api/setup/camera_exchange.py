@@ -15,7 +15,14 @@ from typing import Annotated
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 
-from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover, find, free_address, set_address
+from vaoi_station.acquisition.cameras.aravis.discovery import (
+    FoundCamera,
+    discover,
+    find,
+    free_address,
+    require_free,
+    set_address,
+)
 from vaoi_station.acquisition.cameras.aravis.network import Control
 from vaoi_station.api.access import CHANGED
 from vaoi_station.api.limits import ThreadLimit
@@ -25,7 +32,7 @@ from vaoi_station.api.setup.settings import SettingChange, SettingsFile
 from vaoi_station.api.setup.station_files import StationFiles, content_of, replace_with_backup, require_writable
 from vaoi_station.calibration.exchanged_camera import without_place
 from vaoi_station.config import CameraConfig
-from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
+from vaoi_station.errors import NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.documents import parse_toml, text_of, write_bytes
 from vaoi_station.model import Calibration, Strict
@@ -208,12 +215,7 @@ class CameraExchange:
                     raise _connected(config.name, other.serial)
             new = find(wanted.serial, found)
             self._refuse_model(new, camera, places, found)
-            if new.control is Control.CONTROLLED:
-                raise DeviceError(
-                    f"Another program controls the camera {new.serial} at {new.address}.",
-                    action="Close that program (the maker's viewer, another station), then try again.",
-                    code="camera-in-use",
-                )
+            require_free(new)
             calibration = self._calibration_in_force()
             require_writable(self._files.path)
             if calibration is not None:

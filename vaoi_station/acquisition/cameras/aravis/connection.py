@@ -136,7 +136,7 @@ def open_device(config: CameraConfig, address: str) -> Any:
     # `Camera.new` succeeds for a camera of another client; only `create_stream` would fail, with code 10 (measured).
     if camera.is_gv_device() and not camera.get_device().is_controller():
         raise DeviceError(
-            f"{config.label}: another program controls the camera at {address}.",
+            f"{config.label}: another program{network.controlled_by(address)} controls the camera at {address}.",
             action="Close that program (the maker's viewer, another station); the camera is then opened automatically.",
             code="camera-in-use",
         )

@@ -22,6 +22,7 @@ from vaoi_station.acquisition.cameras.aravis.network import (
     Control,
     Port,
     command,
+    controlled_by,
     is_reachable,
     is_reply,
     next_id,
@@ -40,6 +41,8 @@ AGAIN_S = 0.2
 _SEARCHED = 64
 """Number of addresses of a network that are tried in the search for a free one."""
 _DISCOVERY, _FORCE_IP, _WRITE_REGISTER, _READ_REGISTER = 0x0002, 0x0004, 0x0082, 0x0080
+_DENIED = (0x8006).to_bytes(2, "big")
+"""Status of a reply to a command that only the controlling application may give."""
 _ALLOW_BROADCAST = 0x10
 """Flag of DISCOVERY and FORCEIP: a camera whose address is of another network may answer by broadcast."""
 _EVERYONE = "255.255.255.255"
@@ -177,12 +180,7 @@ def set_address(camera: FoundCamera, address: str) -> None:
     if not _fits(address, own):
         limit = f"an address of a device in {own.network}, the network of port {camera.interface}"
         raise InputError.field(f"camera {camera.serial}", "address", address, limit)
-    if camera.control is Control.CONTROLLED:
-        raise DeviceError(
-            f"Another program controls the camera {camera.serial} at {camera.address}.",
-            action="Close that program (the maker's viewer, another station), then try again.",
-            code="camera-in-use",
-        )
+    require_free(camera)
     if address != camera.address:
         if is_taken(address):
             raise StateError(
@@ -194,16 +192,34 @@ def set_address(camera: FoundCamera, address: str) -> None:
     _keep(camera, address, own)
 
 
+def require_free(camera: FoundCamera) -> None:
+    """Raise DeviceError if an application controls a camera now; one of a foreign network cannot be asked."""
+    if camera.control is Control.CONTROLLED:
+        raise _in_use(camera, controlled_by(camera.address))
+
+
+def _in_use(camera: FoundCamera, where: str = "") -> DeviceError:
+    return DeviceError(
+        f"Another program{where} controls the camera {camera.serial} at {camera.address}.",
+        action="Close that program (the maker's viewer, another station), then try again.",
+        code="camera-in-use",
+    )
+
+
 def _force(camera: FoundCamera, address: str, own: ipaddress.IPv4Interface) -> None:
     """Let a camera have an address until its next power-on."""
     numbers = (address, str(own.netmask), "0.0.0.0")  # noqa: S104  (no gateway)
     content = _FORCED.pack(bytes.fromhex(camera.mac.replace(":", "")), *map(socket.inet_aton, numbers))
-    forced = command(_FORCE_IP, next_id(), content, _ALLOW_BROADCAST)
+    request_id = next_id()
+    forced = command(_FORCE_IP, request_id, content, _ALLOW_BROADCAST)
     end_s = time.monotonic() + NEW_ADDRESS_S
     while time.monotonic() < end_s:
         # Repeated, because a broadcast may be lost; a camera that has the address already only confirms it.
-        for _ in _replies(forced, 0.3, camera.interface):
-            pass
+        for _, reply in _replies(forced, 0.3, camera.interface):
+            # Nothing else tells who controls a camera of a foreign network: DISCOVERY does not state it, and registers
+            # are not read by broadcast.
+            if is_reply(reply, _FORCE_IP, request_id) and reply.startswith(_DENIED):
+                raise _in_use(camera)
         if is_reachable(address):
             return
     raise DeviceError(

@@ -286,7 +286,7 @@ _KEY, _ACKNOWLEDGE = 0x42, 0x01
 _READ_REGISTER, _READ_MEMORY = 0x0080, 0x0084
 """Command numbers; the number of an acknowledgement is one higher."""
 _MODEL_NAME, _MODEL_BYTES = 0x0068, 32
-_VERSION_REGISTER, _PRIVILEGE_REGISTER = 0x0000, 0x0A00
+_VERSION_REGISTER, _PRIVILEGE_REGISTER, _APPLICATION_REGISTER = 0x0000, 0x0A00, 0x0A14
 _CAPABILITY_REGISTER, _LINK_SPEED_REGISTER = 0x0934, 0x0670
 _STATES_LINK_SPEED = 1 << 28
 """Bit of the capabilities: the register of the link's speed exists."""
@@ -353,6 +353,12 @@ def camera_link_mbit_s(address: str) -> float | None:
 def _number(address: str, register: int) -> int:
     """Return the number in a register; 0 if it cannot be read."""
     return int.from_bytes((_read_register(address, register, 0.2, 3) or b"")[:4], "big")
+
+
+def controlled_by(address: str) -> str:
+    """Return ` on HOST` for the computer whose application controls a camera, as the camera states; else nothing."""
+    number = _number(address, _APPLICATION_REGISTER)  # optional in GigE Vision 2
+    return f" on {socket.inet_ntoa(number.to_bytes(4, 'big'))}" if number else ""
 
 
 def model_name(address: str) -> str:

@@ -66,12 +66,21 @@ def test_an_address_that_cannot_be_is_refused_with_its_cause(
         set_address(far, "192.168.3.4")
     with pytest.raises(StateError, match=rf"Another device has the address {near.address}"):
         set_address(far, near.address)
-    foreign.set(0xA00, 2)
     foreign.refuses = {0x64C}
     with pytest.raises(DeviceError, match="does not keep it"):
         set_address(far, FREE)
+
+
+def test_a_camera_that_another_program_controls_keeps_its_address(foreign: ForeignCamera) -> None:
     foreign.set(0xA00, 2)
-    with pytest.raises(DeviceError, match="Another program controls the camera F0REIGN1"):
+    with pytest.raises(DeviceError, match=r"Another program controls the camera F0REIGN1 at 10\.9\.8\.7") as refused:
+        set_address(found(foreign.serial), FREE)
+    assert (refused.value.code, foreign.address) == ("camera-in-use", "10.9.8.7")
+    foreign.set(0xA00, 0)
+    set_address(found(foreign.serial), FREE)
+    foreign.set(0xA00, 2)
+    foreign.set(0xA14, int.from_bytes(socket.inet_aton("10.1.2.3"), "big"))
+    with pytest.raises(DeviceError, match=r"Another program on 10\.1\.2\.3 controls the camera F0REIGN1"):
         set_address(found(foreign.serial), "127.0.0.78")
     assert foreign.address == FREE
 
