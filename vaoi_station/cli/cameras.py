@@ -22,8 +22,8 @@ PLACE = Annotated[str, typer.Argument(help="Name of the place in station.toml, o
 
 @cameras.command("list")
 def list_cameras() -> None:
-    """List the GigE cameras that answer, also those with an address of a foreign network. No station is needed."""
-    from vaoi_station.acquisition.cameras.aravis.discovery import discover
+    """List the cameras that answer, also those of a foreign network and at USB3. No station is needed."""
+    from vaoi_station.acquisition.cameras.aravis.discovery import search_all
     from vaoi_station.acquisition.cameras.aravis.network import Control
 
     words = {
@@ -31,12 +31,12 @@ def list_cameras() -> None:
         Control.FREE: "free",
         Control.CONTROLLED: "in use",
     }
-    found = discover()
+    found = search_all()
     for camera in found:
         what = f"{camera.maker} {camera.model}"
         typer.echo(f"{camera.serial:16} {what:32} {camera.address:15} {camera.interface:8} {words[camera.control]}")
     if not found:
-        typer.echo("No camera answers on a network port of this computer.", err=True)
+        typer.echo("No camera answers on a network port of this computer, or is at USB3.", err=True)
 
 
 @cameras.command("set-address")

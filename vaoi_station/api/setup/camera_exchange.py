@@ -17,10 +17,10 @@ from pydantic import BaseModel, Field
 
 from vaoi_station.acquisition.cameras.aravis.discovery import (
     FoundCamera,
-    discover,
     find,
     free_address,
     require_free,
+    search_all,
     set_address,
 )
 from vaoi_station.acquisition.cameras.aravis.network import Control
@@ -51,9 +51,9 @@ class NetworkCamera(BaseModel):
     serial: str
     model: str
     maker: str
-    address: str
-    mac: str = Field(description="Hardware address.")
-    interface: str = Field(description="Network port of the station on which it answers.")
+    address: str = Field(description="IP address; empty for a USB3 camera.")
+    mac: str = Field(description="Hardware address; empty for a USB3 camera.")
+    interface: str = Field(description="Network port of the station on which it answers, or its place at USB.")
     reachable: bool = Field(description="Whether its address is of the network of this port; else it needs another.")
     in_use: bool = Field(description="Whether a program controls it, of this station or another one.")
     place: str | None = Field(default=None, description="Name of its place in station.toml; absent if it has none.")
@@ -72,7 +72,7 @@ class GonePlace(BaseModel):
 
 
 class CameraSearch(BaseModel):
-    """The GigE cameras that answer a broadcast now, also those with an address of a foreign network."""
+    """The GigE cameras that answer a broadcast now, also those of a foreign network, and the USB3 cameras."""
 
     found: list[NetworkCamera]
     gone: list[GonePlace]
@@ -165,7 +165,7 @@ class CameraExchange:
         self,
         coordinator: StationCoordinator,
         files: StationFiles,
-        broadcast: Callable[[], tuple[FoundCamera, ...]] = discover,
+        broadcast: Callable[[], tuple[FoundCamera, ...]] = search_all,
     ) -> None:
         self._coordinator, self._files, self._broadcast = coordinator, files, broadcast
         self._lock = threading.Lock()

@@ -9,9 +9,11 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import Node, StandInCamera, camera_config
 from vaoi_station.acquisition.cameras.aravis import links, network
+from vaoi_station.acquisition.cameras.aravis.discovery import free_address, usb_cameras
 from vaoi_station.acquisition.cameras.aravis.features import Features
+from vaoi_station.acquisition.cameras.aravis.network import Control
 from vaoi_station.doctor import camera_checks
-from vaoi_station.errors import DeviceError
+from vaoi_station.errors import DeviceError, InputError
 from vaoi_station.optics import Requirements, make_plan
 from vaoi_station.optics.links import USB_PAYLOAD, Link
 from vaoi_station.optics.report import PAPER
@@ -127,6 +129,29 @@ def test_usb_cameras_are_found_under_their_controller(tmp_path: Path) -> None:
     controller = "USB controller 0000:00:14.0"
     assert names == [["USB device 2-1.3", "USB device 2-1", controller], ["USB device 2-4", controller], []]
     assert links.usb_path("S1", tmp_path / "devices")[-1] == Link(controller, 10_000 * USB_PAYLOAD)
+
+
+def test_usb_cameras_are_listed_by_maker_model_and_serial_number(tmp_path: Path) -> None:
+    """As sysfs has them: a camera, which a program uses, another one, and a hub."""
+    (tmp_path / "drivers/usbfs").mkdir(parents=True)
+    for place, subclass, texts in (
+        ("2-4", "05", {"manufacturer": "FLIR", "product": "Blackfly S BFS-U3-51S5M", "serial": "0137"}),
+        ("2-3", "05", {"manufacturer": "Basler", "product": "acA2440-75um", "serial": "21"}),
+        ("2-1", "00", {"product": "Hub"}),
+    ):
+        interface = tmp_path / f"{place}:1.0"
+        interface.mkdir()
+        (tmp_path / place).mkdir()
+        for name, text in {"Class": "ef", "SubClass": subclass, "Protocol": "00"}.items():
+            (interface / f"bInterface{name}").write_text(f"{text}\n")
+        for name, text in texts.items():
+            (tmp_path / place / name).write_text(f"{text}\n")
+    (tmp_path / "2-4:1.0/driver").symlink_to(tmp_path / "drivers/usbfs")
+    free, used = usb_cameras(tmp_path)
+    assert (free.maker, free.model, free.serial, free.interface) == ("Basler", "acA2440-75um", "21", "USB 2-3")
+    assert (free.control, used.serial, used.control) == (Control.FREE, "0137", Control.CONTROLLED)
+    with pytest.raises(InputError, match="camera 21: is a USB camera, which has no address"):
+        free_address(free, (), ())
 
 
 def test_a_row_that_does_not_fit_is_refused_with_the_numbers() -> None:

@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any
 
 from vaoi_station.acquisition.cameras.aravis import families, links, network, sequencer, settings
-from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover
+from vaoi_station.acquisition.cameras.aravis.discovery import FoundCamera, discover, usb_cameras
 from vaoi_station.acquisition.cameras.aravis.features import Features
 from vaoi_station.acquisition.cameras.aravis.library import aravis, glib_error, text_of, version
 from vaoi_station.acquisition.cameras.aravis.network import PacketLimits
@@ -533,6 +533,9 @@ class Connection:
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
             model = network.model_name(address) or model
+        else:  # as a search states it
+            serial = text_of(camera.get_device_serial_number)
+            model = next((usb.model for usb in usb_cameras() if usb.serial == serial), model)
         return Identity(text_of(camera.get_device_serial_number), address, interface, model)
 
     @contextlib.contextmanager

@@ -1,7 +1,8 @@
 """Search for GigE cameras, also those with an address of a foreign network, and the change of their addresses.
 
-Datagrams of our own (GVCP), because Aravis 0.8 lists only one of two cameras with the same name, none that answers by
-broadcast only, and has no FORCEIP; and because the station's own process loads no Aravis.
+USB3 cameras are listed beside them. Datagrams of our own (GVCP), because Aravis 0.8 lists only one of two cameras with
+the same name, none that answers by broadcast only, and has no FORCEIP; and because the station's own process loads no
+Aravis.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from vaoi_station.acquisition.cameras.aravis.network import (
     Port,
     command,
     controlled_by,
+    is_ip,
     is_reachable,
     is_reply,
     next_id,
@@ -62,7 +64,7 @@ class FoundCamera:
 
     serial: str
     address: str
-    """IP address of a GigE camera, or Aravis' device id of a USB camera."""
+    """IP address of a GigE camera, or Aravis' device id of a USB camera; empty if that is not known."""
     mac: str = ""
     """Hardware address, as `00:11:22:33:44:55`."""
     maker: str = ""
@@ -70,7 +72,9 @@ class FoundCamera:
     interface: str = ""
     """The network port of this computer on which it replied."""
     local: str = ""
-    """Address and length of the mask of this port, as `192.168.7.1/24`."""
+    """Address and length of the mask of this port, as `192.168.7.1/24`; empty for a USB camera."""
+    is_claimed: bool = False
+    """Whether a program uses this USB camera."""
 
     @property
     def in_network(self) -> bool:
@@ -80,6 +84,8 @@ class FoundCamera:
     @property
     def control(self) -> Control:
         """Whether an application controls it now; ABSENT if it cannot be asked."""
+        if not is_ip(self.address):
+            return Control.CONTROLLED if self.is_claimed else Control.FREE
         return read_control(self.address) if self.in_network else Control.ABSENT
 
 
@@ -94,6 +100,37 @@ def discover(wait_s: float = DISCOVERY_S) -> tuple[FoundCamera, ...]:
             if key not in found or (camera.in_network and not found[key].in_network):
                 found[key] = camera
     return tuple(sorted(found.values(), key=lambda camera: socket.inet_aton(camera.address)))
+
+
+USB_DEVICES = Path("/sys/bus/usb/devices")
+_USB3_VISION = ("ef", "05", "00")
+"""Class, subclass and protocol of the control interface of a USB3 camera."""
+
+
+def usb_cameras(devices: Path = USB_DEVICES) -> tuple[FoundCamera, ...]:
+    """Return the USB3 cameras that the kernel knows, sorted by place. The station's own process has no other way."""
+
+    def text(path: Path) -> str:
+        try:
+            return path.read_text(errors="replace").strip()
+        except OSError:  # it has no such text, or was unplugged at this moment
+            return ""
+
+    found = []
+    for interface in sorted(devices.glob("*:*")):
+        kind = tuple(text(interface / f"bInterface{part}") for part in ("Class", "SubClass", "Protocol"))
+        if kind == _USB3_VISION:
+            device = devices / interface.name.partition(":")[0]
+            serial, maker, model = (text(device / name) for name in ("serial", "manufacturer", "product"))
+            is_claimed = (interface / "driver").resolve().name == "usbfs"
+            place = f"USB {device.name}"
+            found.append(FoundCamera(serial, "", "", maker, model, place, is_claimed=is_claimed))
+    return tuple(found)
+
+
+def search_all() -> tuple[FoundCamera, ...]:
+    """Return all GigE cameras that reply to a broadcast now, and all USB3 cameras."""
+    return (*discover(), *usb_cameras())
 
 
 def discovered(datagram: bytes, request_id: int, port: Port | None = None) -> FoundCamera | None:
@@ -139,7 +176,7 @@ def free_address(camera: FoundCamera, wished: Iterable[str], used: Collection[st
 
     `used` are addresses that are not to be taken although no device answers there. `StateError`: none was found.
     """
-    own = ipaddress.IPv4Interface(camera.local)
+    own = _own_network(camera)
     wishes = [address for address in wished if _fits(address, own) and address not in used]
     # Beginning behind the port's own address: the first ones of a network mostly belong to switches and routers.
     first, count = own.network.network_address, own.network.num_addresses
@@ -176,7 +213,7 @@ def set_address(camera: FoundCamera, address: str) -> None:
         StateError: another device has the address.
         DeviceError: another program controls the camera, or it does not take the address.
     """
-    own = ipaddress.IPv4Interface(camera.local)
+    own = _own_network(camera)
     if not _fits(address, own):
         limit = f"an address of a device in {own.network}, the network of port {camera.interface}"
         raise InputError.field(f"camera {camera.serial}", "address", address, limit)
@@ -290,6 +327,13 @@ def _replies(datagram: bytes, wait_s: float, interface: str | None = None) -> It
                 answering, port = key.data
                 with contextlib.suppress(OSError):
                     yield port, answering.recv(1024)
+
+
+def _own_network(camera: FoundCamera) -> ipaddress.IPv4Interface:
+    """Return the address and network of the port on which a camera replied; InputError for a USB camera."""
+    if not camera.local:
+        raise InputError(f"camera {camera.serial}: is a USB camera, which has no address.")
+    return ipaddress.IPv4Interface(camera.local)
 
 
 def _local(port: Port) -> str:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from vaoi_station.acquisition.cameras.aravis import families, network
+from vaoi_station.acquisition.cameras.aravis.discovery import USB_DEVICES
 from vaoi_station.acquisition.cameras.aravis.features import Features, answered
 from vaoi_station.config import CameraConfig
 from vaoi_station.errors import DeviceError
@@ -24,7 +25,6 @@ _LIMIT_MODE = "DeviceLinkThroughputLimitMode"
 _NOMINAL_MBIT_S = (10, 100, 1000, 2500, 5000, 10_000, 25_000, 40_000, 100_000)
 """Speeds that links of Ethernet have."""
 _ROOT_HUB = re.compile(r"usb\d+")
-USB_DEVICES = Path("/sys/bus/usb/devices")
 
 
 def speed_mbit_s(features: Features, address: str) -> float | None:
