@@ -140,7 +140,8 @@ def describe(patches: RunPatches, evidence: Evidence, known: Collection[str] = (
             "sigma_mm": round(float(place_sigma[k]), 4), "turn_deg": round(turn, 3),
             "sigma_deg": round(float(turn_sigma[k]), 3),
         }  # fmt: skip
-        if (turns[k, 1:] > 0).any():
+        # A square part may be known not to lie crosswise; without its marks, pin 1 may still be on either side.
+        if turns[k, 2] > 0:
             found["orientation"] = {
                 str(90 * q): round(float(turns[k, q]), 4) for q in range(4) if q == 0 or turns[k, q] > 0
             }

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-PRESENT = (14.797, -6.145, 5.197, 0.507, 0.626, -0.777)
-"""Presence: constant, unlikeness, the same beyond `_KNEE`, evidence of the height, alone and with a strip,
-and unlikeness beyond `_KNEE` once more where heights say little.
+PRESENT = (18.439, -6.718, 6.363, 0.706, 0.651, -0.358, 6.867)
+"""Presence: constant, unlikeness, the same beyond `_KNEE`, evidence of the height, alone and with a strip, unlikeness
+beyond `_KNEE` once more where heights say little, and by how much less unlike another kind it looks.
 
 Absent parts counted twice: a tester rather looks at one more part than probes one that is not there."""
 HEIGHT_ALONE = (2.341, 0.45, 1.453)
@@ -32,7 +32,10 @@ SPREAD_MM, SPREAD_DEG = 0.02, 0.25
 """Spread of the places of good parts that is assumed for the mean place of those taught."""
 TURNED = 6.0
 """Slope of the probability of an orientation over the share of the expected difference."""
-_KNEE, _MOST = 2.0, 6.0
+_KNEE, _MOST, _OTHER = 3.0, 7.0, 2.5
+"""Logarithms of unlikeness: where its slope changes, the largest one, and that from which on another kind says nothing.
+
+Bare pads are some 40 times as unlike other kinds as good ones are, exchanged parts some 4 times."""
 _HEIGHT_SD, _ABSENT_SD = 0.12, 0.1
 """Standard deviation of a height beyond its own, as a share of the expected one: of a part, of the bare board."""
 _UNTAUGHT = ((1.0, 0.15), (0.65, 0.33))
@@ -67,11 +70,13 @@ def height_evidence(measured: Floats, sigma: Floats, taught: Floats) -> Floats:
 
 
 def presence_features(unlike: Floats, other: Floats, heights: Floats) -> Floats:
-    """Return the features (n, 6) of which presence is a logistic function; `heights` (n, 2) is `height_evidence`."""
-    least = np.clip(np.log(np.maximum(np.fmin(unlike, other), 1e-3)), 0, _MOST)
-    beyond = np.maximum(least - _KNEE, 0)
+    """Return the features (n, 7) of which presence is a logistic function; `heights` (n, 2) is `height_evidence`."""
+    own, others = (np.log(np.maximum(v, 1e-3)) for v in (unlike, other))
+    own = np.clip(own, 0, _MOST)
+    beyond = np.maximum(own - _KNEE, 0)
     faint = np.abs(heights).sum(1) < _FAINT
-    return np.column_stack([np.ones(len(least)), least, beyond, heights, beyond * faint])
+    explained = np.clip(np.minimum(own, _OTHER) - others, 0, _OTHER)
+    return np.column_stack([np.ones(len(own)), own, beyond, heights, beyond * faint, explained])
 
 
 def presence(unlike: Floats, other: Floats, heights: Floats) -> Floats:
