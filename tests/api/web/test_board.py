@@ -258,6 +258,50 @@ def test_a_board_is_taught_as_good_and_the_parts_in_doubt_of_another_one_are_gon
     expect(page.locator(".outlines .none title").last).to_have_text("2/R1: cannot say")
 
 
+def test_doubts_and_boards_are_gone_through_by_keyboard_beside_good_ones_and_limits_say_what_they_mark(
+    page: Page, served: Any
+) -> None:
+    station = served.station
+    runs = [station.film(board_id=f"SN-{n}") for n in range(4)]
+    for run in runs[:2]:
+        station.parts.teach(run)
+    page.goto(f"{served.url}/#/board/{runs[2]}?colour=shift")
+    expect(page.locator("#doubts button")).to_have_count(2)
+    for chosen in ("R1", "2/R1", "R1"):
+        page.keyboard.press("Alt+ArrowDown")
+        expect(page.locator("#component")).to_have_value(chosen)
+    expect(page.locator("#beside-good")).to_have_text(re.compile(r"R1 beside that .+: r00000[12]$"))
+    expect(page.locator("#trios figcaption").first).to_have_text("this board, 100 µs")
+    for name in ("part", "good", "difference"):
+        page.wait_for_function(f"() => document.querySelector('#trios .{name} img')?.naturalWidth > 4")
+    page.locator("#limits summary").press("Enter")
+    page.get_by_label("For", exact=True).select_option("every")
+    page.get_by_label("Limit (empty: none)").fill("0.9")
+    page.keyboard.press("Enter")
+    expect(page.locator("#limit-answer")).to_have_text("It would have marked 2 parts on 1 of the latest 1 boards.")
+    expect(page.locator("#limit-marks a")).to_have_text([f"{runs[2]}: R1", f"{runs[2]}: 2/R1"])
+    limits = f"{served.url}/api/v1/board-types/demo-board/limits"
+    assert "0.9" not in served.client.get(limits).text
+    page.get_by_role("button", name="Set", exact=True).click()
+    expect(page.locator("#limit-answer")).to_contain_text("Set; it applies from the next arming on.")
+    assert served.client.get(limits).json()["every"] == {"presence": 0.9}
+    page.keyboard.press("Alt+PageDown")
+    expect(page.locator("#board-title")).to_contain_text("SN-3")
+    assert page.url.endswith(f"/#/board/{runs[3]}?component=R1&colour=shift")
+    expect(page.locator("#later")).to_have_count(0)
+    expect(page.locator("#doubts button").first).to_have_text("R1: beyond the limit: presence")
+    page.keyboard.press("Alt+PageUp")
+    expect(page.locator("#board-title")).to_contain_text("SN-2")
+    page.get_by_label("Compare with").select_option("next")
+    expect(page.locator("#compare-answer")).to_have_text(f"Beside SN-3 ({runs[3]}).")
+    page.get_by_role("button", name="Side by side").click()
+    expect(page.locator("#pair")).to_have_class("beside")
+    mine, other = (page.locator(name).bounding_box() for name in ("#large", "#other"))
+    assert mine is not None
+    assert other is not None
+    assert mine["x"] + mine["width"] <= other["x"]
+
+
 def test_nothing_is_clipped(browser: Browser, served: Any) -> None:
     """In German, whose words are longer than those of English."""
     station = served.station

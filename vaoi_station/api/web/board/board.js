@@ -9,6 +9,7 @@ import { texts } from "../texts/texts.js";
 import { Comparison, shownMosaics } from "./comparison.js";
 import { showExports } from "./exports.js";
 import { Measures } from "./measures.js";
+import { Neighbour } from "./neighbour.js";
 import { PageState } from "./page_state.js";
 import { Pictures } from "./pictures.js";
 import { showRawFrames } from "./raw_frames.js";
@@ -26,14 +27,15 @@ const PART = `
   <h2 id="board-title" data-text="board.loading"></h2>
   <p id="board-order"></p>
   <div id="decisions"></div>
-  <a href="#/boards" class="button" data-text="back"></a>
+  <nav id="boards-beside" data-label="board.neighbours"></nav>
+  <a href="#/boards" id="all-boards" class="button" data-text="back"></a>
 </section>
 <section id="first-reason"></section>
 <section id="zoom" data-label="mosaic"></section>
 <section id="raw" data-label="board.rawFrames" hidden></section>
 <section id="side">
   <div id="tabs" role="tablist" data-label="board.tabs"></div>
-  <div id="tab-part" role="tabpanel"><div id="measures"></div><div id="compare"></div><div id="part"></div></div>
+  <div id="tab-part" role="tabpanel"><div id="measures"></div><div id="neighbour"></div><div id="compare"></div><div id="part"></div></div>
   <div id="tab-report" role="tabpanel" hidden></div>
   <div id="tab-timing" role="tabpanel" hidden></div>
   <div id="tab-export" role="tabpanel" hidden></div>
@@ -52,6 +54,7 @@ export class BoardView extends View {
   #measures;
   #decisions;
   #reason;
+  #neighbour;
   #opening = null;
   #closed = new AbortController();
 
@@ -65,9 +68,33 @@ export class BoardView extends View {
     this.#comparison = new Comparison(this.part("compare"), this.#state, (other) => this.#compare(other));
     this.#measures = new Measures(this.part("measures"), (address) => this.#choose(address), (found) => this.#showMeasured(found));
     this.#reason = new FirstReason(this.part("first-reason"), (place) => this.#lead(place));
+    this.#neighbour = new Neighbour(this.part("neighbour"));
     this.#makeTabs();
     this.#placeTabs();
+    document.addEventListener("keydown", (event) => this.#key(event), this.#closed);
     NARROW.addEventListener("change", () => this.#placeTabs(), this.#closed);
+  }
+
+  // With Alt: the part in doubt that comes next or before, and the board that came later or earlier.
+  #key(event) {
+    const part = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    const board = { PageDown: "later", PageUp: "earlier" }[event.key];
+    if (!event.altKey || !(part || board) || event.target instanceof HTMLSelectElement) return;
+    event.preventDefault();
+    if (part) this.#measures.step(part);
+    else this.part(board)?.click();
+  }
+
+  // Links to the boards that came before and after this one, shown as it is.
+  async #showNeighbours(run) {
+    const [{ runs }, later] = await Promise.all([rest.runs({ before: run.id, limit: 1 }), rest.nextRun(run.id)]);
+    const link = (id, other, textContent, ariaKeyShortcuts) => {
+      const title = `${texts.board[id]} (${ariaKeyShortcuts})`;
+      const found = make("a", { id, className: "button", href: this.#state.of(other.id), textContent, title, ariaLabel: title, ariaKeyShortcuts });
+      found.addEventListener("click", () => (found.href = this.#state.of(other.id))); // the view may have changed
+      return found;
+    };
+    this.part("boards-beside").replaceChildren(...(runs.length ? [link("earlier", runs[0], "‹", "Alt+PageUp")] : []), ...(later ? [link("later", later, "›", "Alt+PageDown")] : []));
   }
 
   #makeTabs() {
@@ -162,6 +189,7 @@ export class BoardView extends View {
     this.part("raw").hidden = !failed;
     if (failed && this.#state.get("tab") === "part") this.#open("report");
     if (failed) rest.unattended(showRawFrames(this.part("raw"), run));
+    rest.unattended(this.#showNeighbours(run));
   }
 
   async #showBoard(run, list) {
@@ -205,6 +233,12 @@ export class BoardView extends View {
     this.#zoom.measured(this.#shown);
     this.#pictures.measured(this.#shown);
     showExports(this.part("tab-export"), this.#run, this.#shown);
+    this.#showNeighbour();
+  }
+
+  #showNeighbour() {
+    const part = this.#shown.parts.find((one) => one.address === this.#state.get("component"));
+    if (part && this.#shown.measures) rest.unattended(this.#neighbour.show(this.#run, part));
   }
 
   #choose(address, fly = true) {
@@ -213,6 +247,7 @@ export class BoardView extends View {
     this.#state.set({ component: address });
     this.#zoom.choose(address, fly);
     this.#measures.choose(address);
+    this.#showNeighbour();
     const matrix = this.#shown.mosaics[0]?.image_from_cad;
     rest.unattended(this.#pictures.show(this.#run, part, this.#shown, matrix?.[0][0] < 0));
   }
@@ -224,10 +259,11 @@ export class BoardView extends View {
     this.part("zoom").scrollIntoView({ block: "nearest" });
   }
 
-  #compare({ run, mosaics, visible, from }) {
+  // Beside one another are pictures of a part; over the whole board the other one would hide this one.
+  #compare({ run, mosaics, visible, from, beside }) {
     const wanted = this.#state.get("mosaic");
-    this.#zoom.compare(mosaics.find((m) => m.name === wanted) ?? mosaics[0] ?? null, visible, from);
-    this.#pictures.compare({ run, visible, from });
+    this.#zoom.compare(mosaics.find((m) => m.name === wanted) ?? mosaics[0] ?? null, visible && !beside, from);
+    this.#pictures.compare({ run, visible, from, beside });
   }
 }
 

@@ -4,13 +4,15 @@ import * as rest from "../parts/rest.js";
 import { texts } from "../texts/texts.js";
 
 const BLINK_MS = 700;
-const SOUGHT = 20; // earlier runs among which the previous board is sought
+const SOUGHT = 20; // earlier or later runs among which the board before or after is sought
 const PART = `
 <label><span data-text="board.compare"></span><select id="with"></select></label>
 <input id="with-run" maxlength="64" spellcheck="false" autocomplete="off" data-label="board.otherRun" hidden>
 <div id="how" role="group" data-label="board.how" hidden></div>
 <input id="divide" type="range" min="0" max="100" value="50" data-label="board.divide" hidden>
 <p id="compare-answer" role="status"></p>`;
+
+const hasPictures = (run) => run.verdict === "ok" || run.verdict === "degraded";
 
 export class Comparison extends View {
   #state;
@@ -22,13 +24,14 @@ export class Comparison extends View {
   #visible = true;
   #asked = 0;
 
-  // onChange({ run, mosaics, visible, from }): the other run or null, its mosaics, and which part of it is shown.
+  // onChange({ run, mosaics, visible, from, beside }): the other run or null, its mosaics, and how it is shown: blinking, from this share
+  // of the width on, or beside this one.
   constructor(root, state, onChange) {
     super(PART, root);
     [this.#state, this.#onChange] = [state, onChange];
-    const choices = { "": texts.board.nothing, previous: texts.board.previous, reference: texts.board.reference, run: texts.board.otherRun };
+    const choices = { "": texts.board.nothing, previous: texts.board.previous, next: texts.board.next, reference: texts.board.reference, run: texts.board.otherRun };
     this.part("with").append(...options(Object.entries(choices)));
-    this.part("how").append(...["slider", "blink"].map((how) => this.#mode(how)));
+    this.part("how").append(...["slider", "blink", "beside"].map((how) => this.#mode(how)));
     const chosen = state.get("with");
     this.part("with").value = chosen in choices ? chosen : "run";
     this.part("with-run").value = chosen in choices ? "" : chosen;
@@ -93,9 +96,19 @@ export class Comparison extends View {
 
   async #idOf(chosen) {
     if (chosen === "reference") return (await rest.reference(this.#run.board_type)).run;
+    if (chosen === "next") return this.#next();
     if (chosen !== "previous") return chosen;
     const { runs } = await rest.runs({ board_type: this.#run.board_type, before: this.#run.id, limit: SOUGHT });
-    return runs.find((run) => run.verdict === "ok" || run.verdict === "degraded")?.id;
+    return runs.find(hasPictures)?.id;
+  }
+
+  async #next() {
+    let run = this.#run;
+    for (let n = 0; n < SOUGHT && run; n++) {
+      run = await rest.nextRun(run.id);
+      if (run && run.board_type === this.#run.board_type && hasPictures(run)) return run.id;
+    }
+    return null;
   }
 
   #begin() {
@@ -115,8 +128,9 @@ export class Comparison extends View {
   }
 
   #report() {
-    const from = this.#state.get("how") === "slider" ? Number(this.part("divide").value) / 100 : 0;
-    this.#onChange({ run: this.#other, mosaics: this.#mosaics, visible: this.#visible, from });
+    const how = this.#state.get("how");
+    const from = how === "slider" ? Number(this.part("divide").value) / 100 : 0;
+    this.#onChange({ run: this.#other, mosaics: this.#mosaics, visible: this.#visible, from, beside: how === "beside" });
   }
 
   close() {

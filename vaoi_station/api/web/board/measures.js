@@ -23,6 +23,7 @@ export function linesOf(measure, reason_texts) {
   return [
     ...found.map((name) => [texts.board.colours[name], measureText(name, measure)]),
     ...(measure.height_mm == null ? [] : [[texts.board.parallax, `${number(measure.height_mm, 2)} mm`]]),
+    ...(measure.marked ? [[texts.board.marked, markedText(measure)]] : []),
     ...(why ? [[texts.board.cannotSay, why]] : []),
     [texts.board.restsOn, texts.board.basis(measure.frames, measure.boards)],
   ];
@@ -31,7 +32,9 @@ export function linesOf(measure, reason_texts) {
 // A remark in the language of the page; undefined for one that a newer station makes, or an older one has stored.
 const remarkText = ({ remark_codes, remark_values }, n) => texts.board.remarks[remark_codes?.[n]]?.(remark_values[n]);
 
-// The parts in doubt, as [address, what is said of it]: absent, turned otherwise, unlike, most shifted; in each group the worst first.
+const markedText = (measure) => texts.board.beyondLimits(measure.marked.map((name) => texts.board.limitNames[name]));
+
+// The parts in doubt, as [address, what is said of it]: beyond a limit, absent, turned otherwise, unlike, most shifted; in each group the worst first.
 export function doubtsOf(measures) {
   const rest = Object.entries(measures);
   const take = (rank, word) => {
@@ -39,10 +42,12 @@ export function doubtsOf(measures) {
     for (const entry of found) rest.splice(rest.indexOf(entry), 1);
     return found.map(([address, measure]) => [address, word(measure)]);
   };
+  const limited = (measure) => measure.marked?.length ?? 0;
   const below = (value) => (value == null ? 0 : LIKELY - value);
   const names = texts.board.colours;
   const shift = (measure) => (measure.dx_mm == null || VALUES.shift(measure) <= SIGNIFICANT * measure.sigma_mm ? 0 : VALUES.shift(measure));
   return [
+    ...take(limited, (measure) => markedText(measure)),
     ...take((measure) => below(measure.presence), (measure) => texts.board.doubt.absent(measureText("presence", measure))),
     ...take((measure) => below(VALUES.orientation(measure)), (measure) => `${names.orientation} ${measureText("orientation", measure)}`),
     ...take((measure) => below(measure.alike), (measure) => texts.board.doubt.unlike(measureText("alike", measure))),
@@ -115,6 +120,13 @@ export class Measures extends View {
     const button = make("button", { type: "button", textContent, onclick: () => this.#onPart(address) });
     button.dataset.address = address;
     return button;
+  }
+
+  // Choose the part in doubt that comes next in the list, or before.
+  step(by) {
+    const all = [...this.part("doubts").querySelectorAll("button")];
+    const at = all.findIndex((button) => button.dataset.address === this.#chosen);
+    if (all.length) this.#onPart(all[at < 0 && by < 0 ? all.length - 1 : (at + by + all.length) % all.length].dataset.address);
   }
 
   // Mark a part in the list, if it is there.

@@ -13,7 +13,7 @@ const DEFAULTS = {
   picture: "", // camera.row of the large picture
   size: "fit", // fit, or 1:1
   with: "", // what the board is compared with: previous, reference, or the id of a run
-  how: "slider", // slider or blink
+  how: "slider", // slider, blink, or beside
 };
 
 export class PageState {
@@ -39,8 +39,16 @@ export class PageState {
     // An address that says the same in other characters stays: the frame of the page would take it for another one.
     if (Object.entries(changes).every(([name, value]) => this.#values[name] === value)) return;
     Object.assign(this.#values, changes);
-    const query = new URLSearchParams();
-    for (const [name, value] of Object.entries(this.#values)) if (value !== DEFAULTS[name]) query.set(name, value);
-    stateShown(`#/board/${encodeURIComponent(this.#id)}`, query);
+    stateShown(`#/board/${encodeURIComponent(this.#id)}`, this.#query());
+  }
+
+  #query() {
+    return new URLSearchParams(Object.entries(this.#values).filter(([name, value]) => value !== DEFAULTS[name]));
+  }
+
+  // The address of another board, shown as this one is.
+  of(id) {
+    const query = String(this.#query());
+    return `#/board/${encodeURIComponent(id)}${query ? `?${query}` : ""}`;
   }
 }

@@ -28,7 +28,7 @@ export class Pictures extends View {
   #run = null;
   #shown = null;
   #views = [];
-  #other = { run: null, views: [], visible: true, from: 0 };
+  #other = { run: null, views: [], visible: true, from: 0, beside: false };
   #mirrored = false;
   #turn = 0;
 
@@ -187,9 +187,9 @@ export class Pictures extends View {
   }
 
   // What is shown of another board; `run` is null if there is none.
-  compare({ run, visible, from }) {
+  compare({ run, visible, from, beside }) {
     const same = run?.id === this.#other.run?.id;
-    Object.assign(this.#other, { run, visible, from });
+    Object.assign(this.#other, { run, visible, from, beside });
     if (same) {
       this.#cut();
       return;
@@ -229,7 +229,7 @@ export class Pictures extends View {
       this.#upright(image, found);
       const src = addressOf(this.#other.run, found);
       if (image.getAttribute("src") !== src) Object.assign(image, { src, alt: texts.alt(this.#shown.address, found) });
-      setText(this.part("other-facts"), `${texts.board.beside} ${captionOf(found)}`);
+      setText(this.part("other-facts"), `${texts.board.besideIt} ${captionOf(found)}`);
     } else image.removeAttribute("src");
     this.#cut();
   }
@@ -237,6 +237,7 @@ export class Pictures extends View {
   #cut() {
     const image = this.part("other");
     image.style.visibility = this.#other.visible ? "" : "hidden";
+    this.part("pair").classList.toggle("beside", this.#other.beside && !image.hidden);
     image.style.clipPath = this.#other.from > 0 ? `inset(0 0 0 ${this.#other.from * 100}%)` : "";
   }
 

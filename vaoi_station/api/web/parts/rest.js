@@ -73,6 +73,12 @@ export const timeline = (id) => call("GET", `/runs/${encodeURIComponent(id)}/tim
 export const overlay = (id) => call("GET", `/runs/${encodeURIComponent(id)}/overlay`);
 export const heights = async (id) => (await call("GET", `/runs/${encodeURIComponent(id)}/heights`)).heights;
 export const measures = (id) => call("GET", `/runs/${encodeURIComponent(id)}/parts`);
+export const measuredPart = (id, ref) => call("GET", `/runs/${encodeURIComponent(id)}/parts/${part(ref)}`);
+export const boardType = (name) => call("GET", `/board-types/${encodeURIComponent(name)}`);
+export const limits = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/limits`);
+export const checkLimits = (type, wanted) => call("POST", `/board-types/${encodeURIComponent(type)}/limits/check`, wanted);
+export const setLimits = (type, wanted) => call("PUT", `/board-types/${encodeURIComponent(type)}/limits`, wanted);
+export const nextRun = (id) => call("GET", `/runs/next?${new URLSearchParams({ after: id, timeout: 0 })}`); // null: it is the last one
 export const goodBoards = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/good`);
 export const keepAsGood = (id) => call("PUT", `/runs/${encodeURIComponent(id)}/good`);
 export const removeFromGood = (id) => call("DELETE", `/runs/${encodeURIComponent(id)}/good`);

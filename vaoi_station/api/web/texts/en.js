@@ -86,6 +86,30 @@ const board = {
   restsOn: "Rests on",
   basis: (frames, boards) => `${frames} ${frames === 1 ? "frame" : "frames"}, ${boards} good ${boards === 1 ? "board" : "boards"}`,
   parallax: "Height by parallax",
+
+  // the same part of a good board, and limits
+  neighbours: "Boards before and after",
+  earlier: "Board before",
+  later: "Next board",
+  besideGood: "beside that of the most similar good board:",
+  noGoodPart: "no good board has it under these lights.",
+  trio: { part: "this board", good: "good board", difference: "difference" },
+  limits: "Limits that mark",
+  limitOf: "Measure",
+  limitFor: "For",
+  limitValue: "Limit (empty: none)",
+  limitNames: {
+    presence: "presence, least", orientation: "orientation, least", alike: "likeness, least", dx_mm: "shift along x, mm", dy_mm: "shift along y, mm", turn_deg: "turn, °",
+    least_height_mm: "height, least, mm", most_height_mm: "height, largest, mm", height_mm: "height",
+  },
+  thisPart: (address) => `${address} alone`,
+  everyPart: "every part",
+  wouldMark: "What would it mark?",
+  setLimit: "Set",
+  limitSet: "Set; it applies from the next arming on.",
+  marks: (parts, boards, all) => `It would have marked ${parts} ${parts === 1 ? "part" : "parts"} on ${boards} of the latest ${all} boards.`,
+  marked: "Marked",
+  beyondLimits: (names) => `beyond the limit: ${names.map((name) => name.split(",")[0]).join(", ")}`,
   doubts: "Parts in doubt",
   noDoubts: "No part is in doubt by these measures.",
   moreDoubts: (n) => `and ${n} more: colour parts by likeness.`,
@@ -129,6 +153,7 @@ const board = {
   // comparison
   compare: "Compare with",
   previous: "previous board",
+  next: "next board",
   reference: "reference",
   otherRun: "run (id)",
   how: "How it is compared",
@@ -142,7 +167,8 @@ const board = {
   otherGone: "There is no picture of its whole board.",
   otherPicturesGone: "The pictures of its parts are gone.",
   otherHasNone: "It has no picture of this part under this light.",
-  beside: "Beside it:",
+  beside: "Side by side",
+  besideIt: "Beside it:",
 
   // report
   linkFigures: (used, pairs) => `${used} between ${pairs} pairs of frames`,
