@@ -81,10 +81,9 @@ def measure_parts(
     """
     every = run.board_type.components if parts is None else parts
     so_far = SoFar() if so_far is None else so_far
-    known = {address for board in models.boards for some in board.addresses for address in some}
     found: dict[str, dict[str, Any]] = {}
     for begin in range(0, len(every), _AT_ONCE):
-        found |= describe(*collect(run, models, every[begin : begin + _AT_ONCE], so_far), known)
+        found |= describe(*collect(run, models, every[begin : begin + _AT_ONCE], so_far), models.addresses)
     return found
 
 

@@ -297,6 +297,7 @@ class Models:
         self._kinds: dict[tuple[Grid, ViewClass], tuple[Kind, ...]] = {}
         self._bodies: dict[tuple[Grid, ViewClass], tuple[Kind, ...]] = {}
         self.names = frozenset(grid.name for board in boards for grid in board.grids)
+        self.addresses = frozenset(address for board in boards for some in board.addresses for address in some)
         heights: dict[str, list[NDArray[np.float32]]] = {}
         for board in boards:
             for addresses, values in zip(board.addresses, board.heights_mm, strict=True):

@@ -180,6 +180,8 @@ def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are
     untaught = client.get(f"{RUNS}/{first}/parts").json()
     assert untaught["parts"]["U1"]["reasons"] == ["untaught", "undecided"]
     assert set(untaught["reason_texts"]) == {"untaught", "undecided"}
+    assert client.get(f"{RUNS}/{first}/parts").json() == untaught
+    assert station.mosaics.jobs.count("parts") == 1, "measured once"
     assert [b["run"] for b in client.put(f"{RUNS}/{first}/good").json()["boards"]] == [first]
     assert client.put(f"{RUNS}/{second}/good").json()["disagreements"] == [], "two do not show which is right"
     taught = client.put(f"{RUNS}/{fourth}/good").json()

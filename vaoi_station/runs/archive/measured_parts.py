@@ -92,6 +92,8 @@ class MeasuredParts:
         """Function that returns the file of a frame in the run's recording, as `Recordings.frame_file` does."""
         self._views = lru_cache(_KEPT_VIEWS)(self._made_views)
         self._documents = KeptDocuments(archive.store.parts, _KEPT)
+        self._by_heights = KeptDocuments(lambda _run: None, _KEPT)
+        """Measures without good boards, which cost seconds: they hold until the first board is taught."""
         self._lock = threading.Lock()
         """Held during a measurement for a caller, or a teaching."""
         self.queue = SupervisedQueue(self._measure_after, "parts", _MOST_WAITING)
@@ -110,20 +112,20 @@ class MeasuredParts:
             StateError: the run has no CAD mapping.
             GoneError: the frames are no longer in memory, and the parts were not measured while they were.
         """
-        if (found := self._documents.get(run)) is not None:
+        if (found := self._known(run)) is not None:
             return found
         # Of a run without frames it is said at once.
         finished = _checked(self._archive.get(run))
         if not recorded_files(self.recorded, run, finished.slots):
             self._bay_of(run)
         with self._lock:
-            if (found := self._documents.get(run)) is not None:
+            if (found := self._known(run)) is not None:
                 return found
             return self._with_frames(finished, lambda place: self._measured(finished, place, Priority.RENDER))
 
     def measure_of(self, run: str, address: str) -> dict[str, Any] | None:
-        """Return the stored measure of a part; None if the parts of the run were not measured."""
-        content = self._documents.get(run)
+        """Return the measure of a part; None if the parts of the run were not measured."""
+        content = self._known(run)
         return None if content is None else json.loads(content)["parts"].get(address)
 
     def limits_of(self, run: str, address: str) -> PartLimits:
@@ -274,10 +276,16 @@ class MeasuredParts:
         run, good = finished.detail.id, self._good_files(finished.board_type.name)
         job = PartsJob(**_of(finished, place), good=good, priority=priority)
         content: bytes = self._render(job, "parts")
-        if good:
-            self._documents.put(run, content)
-            self._archive.store.save_parts(run, content.decode())
-        return content
+        if not good:
+            return self._by_heights.put(run, content)
+        self._archive.store.save_parts(run, content.decode())
+        return self._documents.put(run, content)
+
+    def _known(self, run: str) -> bytes | None:
+        """Return the measures of a run that hold: those with good boards, or others as long as there are none."""
+        if (found := self._documents.get(run)) is not None or (found := self._by_heights.get(run)) is None:
+            return found
+        return None if self._good_files(self._archive.get(run).board_type.name) else found
 
     def _measure_after(self, run: str) -> None:
         """Measure the parts of a run that has just ended, if it can have measures."""

@@ -71,7 +71,7 @@ export class Measures extends View {
     this.part("good").addEventListener("click", () => rest.unattended(this.#teach()));
   }
 
-  // Without good boards parts are measured at each request, which costs seconds: they are asked for only if somebody wants them.
+  // Without good boards parts are measured at the first request, which costs seconds: they are asked for only if somebody wants them.
   async show(run) {
     this.#run = run;
     const { boards } = await rest.goodBoards(run.board_type);
