@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.parts.conftest import stitched, taught
 from vaoi_station.model import Status
-from vaoi_station.parts.document import Remark, changes, disagreement_steps, measure_parts, parts_document
+from vaoi_station.parts.document import Remark, changes, dark_lights, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard
+from vaoi_station.parts.measure import Run, SoFar
 from vaoi_station.parts.models import Models
 from vaoi_station.runs.archive.measured_parts import event_message
 from vaoi_station.steps import completed
@@ -98,3 +100,28 @@ def test_doubts_about_the_run_itself_are_remarks(good_boards: tuple[TaughtBoard,
     assert codes(changes(degraded, good_boards, "c")) == ["run-not-ok"]
     assert codes(changes(run, good_boards, "c", "good-0")) == ["own-board"]
     assert codes(changes(run, good_boards, "c", "another")) == []
+
+
+def relit(run: Run, *, out: bool = False) -> Run:
+    """Return a run whose rows are filmed under two lights in turn; with `out`, the second lamp is out."""
+    lights = tuple("left" if row % 2 else "ring" for row in range(run.head.rows))
+
+    def frame(camera: int, row: int) -> Any:
+        pixels = run.frame(camera, row)
+        return pixels if pixels is None or not (out and row % 2) else np.zeros_like(pixels)
+
+    return run._replace(head=run.head.model_copy(update={"lights": lights}), frame=frame)
+
+
+def test_a_lamp_that_is_out_is_said_and_makes_no_board_of_another_revision() -> None:
+    good = tuple(taught(relit(stitched(n)), f"good-{n}") for n in range(2))
+    run, so_far = relit(stitched(2, ABSENT), out=True), SoFar()
+    models = Models(good)
+    parts = measure_parts(run, models, so_far=so_far)
+    document = parts_document(run, models, parts, dark_lights(so_far))
+    assert document["remark_codes"] == ["dark-lights"]
+    assert document["remark_values"] == [{"lights": ["left"]}]
+    low = {a for a, p in parts.items() if p["presence"] is not None and p["presence"] < 0.5}
+    assert low <= set(ABSENT)
+    assert len(low) > len(ABSENT) / 2
+    assert sum(p["dx_mm"] is not None for p in parts.values()) > 25

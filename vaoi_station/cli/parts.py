@@ -38,8 +38,9 @@ def parts(
     from vaoi_station.cli.opened_case import refuse_input
     from vaoi_station.errors import InputError
     from vaoi_station.files.documents import write_json
-    from vaoi_station.parts.document import changes, disagreement_steps, measure_parts, parts_document
+    from vaoi_station.parts.document import changes, dark_lights, disagreement_steps, measure_parts, parts_document
     from vaoi_station.parts.learned import merged, read_taught_board
+    from vaoi_station.parts.measure import SoFar
     from vaoi_station.parts.models import Models
     from vaoi_station.steps import completed
 
@@ -59,9 +60,12 @@ def parts(
             action="Give good boards of this type only.",
         )
     models = Models(known)
-    measured = measure_parts(run, models)
+    so_far = SoFar()
+    measured = measure_parts(run, models, so_far=so_far)
     disagreeing = completed(disagreement_steps(known))
-    document = parts_document(run, models, measured, changes(run, known, taken_with, case.resolve().name))
+    document = parts_document(
+        run, models, measured, dark_lights(so_far) + changes(run, known, taken_with, case.resolve().name)
+    )
     write_json(out, document | {"good_boards_disagree": disagreeing})
     said = [p["presence"] for p in measured.values() if p["presence"] is not None]
     absent = sum(p < 0.5 for p in said)

@@ -29,6 +29,8 @@ _PLACED = 9.0
 _ALIKE = 0.5
 _LEAST_SAMPLES = 3
 """Least number of taught parts of a kind of which one can look otherwise than the others."""
+_DARK_SHARE = 0.5
+"""Share of parts that a light shows black or saturated from which on its lamp is in doubt."""
 _OTHER_REVISION, _LEAST_UNLIKE = 0.5, 8
 """Share of parts that are unlike, and their number, from which on a board is another revision and not a bad one."""
 REASONS = {
@@ -55,6 +57,8 @@ REMARKS = {
     "calibration-differs": "the calibration differs from that of {boards}: presence, orientation and likeness hold; "
     "places hold as far as both calibrations are right.",
     "other-lights": "no good board was filmed under the light {lights}: only other lights are compared.",
+    "dark-lights": "under the light {lights} most parts are black or saturated: only other lights are compared. Check "
+    "the lamp and its exposure.",
     "other-revision": "{unlike} of {said} parts are unlike those of good boards: this is a board of another revision "
     "or type. Check which product passes, or teach good boards of this revision.",
 }
@@ -198,7 +202,7 @@ def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, An
     models = Models(boards)
     for grid, view in sorted({(g, c) for b in boards for g in b.grids for c in b.classes}):
         for kind in models.kinds(grid, view)[:1]:
-            if kind.samples < _LEAST_SAMPLES:
+            if len(kind.of) < _LEAST_SAMPLES:
                 continue
             unlike = kind.unlikeness(kind.fit, kind.gain)
             usual = {a for v in models.kinds(grid, view)[1:] for a in v.addresses or ()}
@@ -207,6 +211,12 @@ def disagreement_steps(boards: Sequence[TaughtBoard]) -> Steps[list[dict[str, An
                     found[key] = max(value, found.get(key, 0.0))
         yield
     return [{"board": b, "part": a, "unlike": round(u, 1)} for (b, a), u in sorted(found.items())]
+
+
+def dark_lights(so_far: SoFar) -> list[Remark]:
+    """Return a remark if the pictures of most parts under a light say nothing."""
+    dark = [light or "no name" for light, shown in so_far.shown.items() if so_far.blank[light] > _DARK_SHARE * shown]
+    return [Remark("dark-lights", {"lights": sorted(dark)})] if dark else []
 
 
 def changes(run: Run, boards: Sequence[TaughtBoard], calibration: str, name: str = "") -> list[Remark]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -108,6 +109,10 @@ class SoFar:
     """Number of parts that were searched."""
     exchanged: int = 0
     """Number of parts that were compared with other kinds."""
+    blank: Counter[str] = field(default_factory=Counter)
+    """By light: number of parts whose pictures are saturated or black."""
+    shown: Counter[str] = field(default_factory=Counter)
+    """By light: number of parts that its frames show."""
 
 
 def collect(
@@ -116,6 +121,9 @@ def collect(
     """Collect what the pictures of a run say of some of its parts; calls for one run share `so_far`."""
     patches = run.cut(parts, heights_mm=models.heights_mm)
     so_far = SoFar() if so_far is None else so_far
+    for c, (light, _) in enumerate(patches.classes):
+        so_far.blank[light] += int(patches.blank[:, c].sum())
+        so_far.shown[light] += int((patches.blank[:, c] | (patches.frames[:, c] > 0)).sum())
     gains = so_far.gains
     first = _compare(patches, models, gains)
     off = np.hypot(*first.place_mm.T)

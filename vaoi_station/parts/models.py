@@ -223,10 +223,12 @@ def _majority(patches: Floats32, mask: Floats32) -> NDArray[np.bool_]:
 
 
 def _aligned(fit: Fit, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which patches fit a template about as well as most of its members do."""
+    """Return which patches fit a template about as well as most of its members do; the members if none does."""
     contrast = np.log(np.maximum(fit.gain, 0.02))
     near = np.abs(contrast - np.median(contrast[members])) < _CONTRASTS
-    return np.asarray(near & (fit.misfit < _ALIGNED * np.median(fit.misfit[members])))
+    found = np.asarray(near & (fit.misfit < _ALIGNED * np.median(fit.misfit[members])))
+    # Of two members whose contrast differs much, neither is near the median.
+    return found if found.any() else members
 
 
 def _middle(poses: Floats) -> Floats:

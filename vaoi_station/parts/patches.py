@@ -92,6 +92,8 @@ class RunPatches(NamedTuple):
     wide_sigma_mm: Floats
     dark: NDArray[np.bool_]
     """(n,) whether the patch is saturated or black."""
+    blank: NDArray[np.bool_]
+    """(n, classes) whether the pictures of a class are saturated or black: they do not count where others are not."""
     cad_mm_from_px: Floats
     """(n, 2, 2) displacement in pixels of a patch → mm along the CAD axes."""
 
@@ -158,7 +160,7 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
     for g in range(len(grids)):
         rank[number == g] = np.arange(np.count_nonzero(number == g))
     frames, above, weight = np.zeros((n, len(classes)), np.int_), np.zeros((n, 2)), np.zeros((n, 2))
-    said = np.zeros(n, np.bool_)
+    blank = np.zeros((n, len(classes)), np.bool_)
     first = np.searchsorted(table.component, np.arange(n + 1))
     for g, grid in enumerate(grids):
         masks = _inside(grid, -1.0), _inside(grid, STRIP_MM * grid.px_per_mm)
@@ -180,7 +182,7 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
                     mean = joined
                 values[g, c][rank[k]], frames[k, c] = mean, len(whole) or len(use)
                 middle = values[g, c][rank[k]][masks[0]]
-                said[k] |= np.count_nonzero((middle > _BRIGHT) | (middle < _DARK)) <= _BLANK * middle.size
+                blank[k, c] = np.count_nonzero((middle > _BRIGHT) | (middle < _DARK)) > _BLANK * middle.size
                 if len(whole) > 1:
                     slopes = lift[[use[n] for n in whole]] * (grid.px_per_mm / resolution)
                     clipped = _BRIGHT * max(to_class[n] for n in whole)
@@ -191,6 +193,9 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
                     off, certainty = _parallax(some, mask)
                     above[[one.part for one in some], m] += off * certainty
                     weight[[one.part for one in some], m] += certainty
+    said = np.asarray(((frames > 0) & ~blank).any(1), np.bool_)
+    # A lamp that is out says nothing of a part that another light shows.
+    frames[blank & said[:, None]] = 0
     height = np.where(table.on_top, table.above_mm, 0.0)
     measured = (weight > 0) & calculator.knows_heights
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -199,7 +204,7 @@ def cut_patches(  # noqa: PLR0915  (one pass over the parts, with arrays of all 
     cad_from_px = table.crops.cad_from_crop[:, :2, :2] * scale[:, None, None]
     return RunPatches(
         tuple(parts), grids, number, classes, values, frames, height, above_mm[:, 0], sigma[:, 0], above_mm[:, 1],
-        sigma[:, 1], (frames > 0).any(1) & ~said, cad_from_px,
+        sigma[:, 1], (frames > 0).any(1) & ~said, blank, cad_from_px,
     )  # fmt: skip
 
 

@@ -178,9 +178,9 @@ def router(services: Services) -> APIRouter:
         """Measure all parts: is it there, where, turned by how much, which way round, like good ones. No verdict.
 
         They are measured after each run of a board type with good boards, and kept with the result; without good
-        boards at the first request, by heights alone, which holds until a board is taught. `remark_codes` says what limits the measures, `marked` of a part which
-        are beyond the limits of its board type. 409: no CAD mapping. 410: the frames are no longer in memory, no
-        recording of the run is kept, and the parts were not measured before.
+        boards at the first request, by heights alone, which holds until a board is taught. `remark_codes` says what
+        limits the measures, `marked` of a part which are beyond the limits of its board type. 409: no CAD mapping. 410:
+        the frames are no longer in memory, no recording of the run is kept, and the parts were not measured before.
         """
         return json_response(request, await services.pictures.ask(coordinator.parts.document, run), REVALIDATE)
 

@@ -20,7 +20,7 @@ from vaoi_station.errors import InputError
 from vaoi_station.files.images import Image, encode_png, read_kept_image
 from vaoi_station.geometry import Camera
 from vaoi_station.model import BoardType, Component, RecordingHead, Stitch
-from vaoi_station.parts.document import Remark, changes, disagreement_steps, measure_parts, parts_document
+from vaoi_station.parts.document import Remark, changes, dark_lights, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard, joined, parts_digest, read_taught_board
 from vaoi_station.parts.measure import Run, SoFar
 from vaoi_station.parts.models import Models
@@ -105,7 +105,7 @@ class PartsJob(_PartsOfRun):
                 measured |= measure_parts(run, models, some[first : first + _STEP_PARTS], so_far)
                 yield
         in_order = {part.address: measured[part.address] for part in self.board_type.components}
-        remarks += changes(run, models.boards, self.calibration, self.run)
+        remarks += dark_lights(so_far) + changes(run, models.boards, self.calibration, self.run)
         document = parts_document(run, models, in_order, remarks)
         # As in all replies of the station, what is not known is absent.
         document["parts"] = {

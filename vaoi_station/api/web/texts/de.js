@@ -77,6 +77,7 @@ const board = {
     "calibration-differs": ({ boards }) =>
       `Die Kalibrierung ist eine andere als bei ${boards.join(", ")}: Anwesenheit, Richtung und Ähnlichkeit gelten; Orte gelten, soweit beide Kalibrierungen stimmen.`,
     "other-lights": ({ lights }) => `Keine gute Baugruppe wurde mit dem Licht ${lights.join(", ")} aufgenommen: Nur andere Lichter werden verglichen.`,
+    "dark-lights": ({ lights }) => `Mit dem Licht ${lights.join(", ")} sind die meisten Bauteile schwarz oder überstrahlt: Nur andere Lichter werden verglichen. Lampe und Belichtung prüfen.`,
     "other-revision": ({ unlike, said }) =>
       `${unlike} von ${said} Bauteilen sehen anders aus als auf guten Baugruppen: Das ist ein anderer Stand oder ein anderer Typ. Prüfen, welches Produkt läuft, oder gute Baugruppen dieses Standes einlernen.`,
   },

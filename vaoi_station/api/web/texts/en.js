@@ -80,6 +80,7 @@ const board = {
     "calibration-differs": ({ boards }) =>
       `The calibration differs from that of ${boards.join(", ")}: presence, orientation and likeness hold; places hold as far as both calibrations are right.`,
     "other-lights": ({ lights }) => `No good board was filmed under the light ${lights.join(", ")}: only other lights are compared.`,
+    "dark-lights": ({ lights }) => `Under the light ${lights.join(", ")} most parts are black or saturated: only other lights are compared. Check the lamp and its exposure.`,
     "other-revision": ({ unlike, said }) =>
       `${unlike} of ${said} parts are unlike those of good boards: this is a board of another revision or type. Check which product passes, or teach good boards of this revision.`,
   },
