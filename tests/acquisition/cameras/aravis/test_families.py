@@ -14,6 +14,7 @@ from vaoi_station.acquisition.cameras.aravis.families import misnumbers_resends,
         ("acA640-90gc", 1023, 190, 29.9047),  # the same
         ("piA640-210gm", 450, 0, 16.155),  # pilot, "Gain"
         ("acA2000-50gm", 512, 36, 23.06),  # AW00089317, table 30: 24.08 dB at 512, 1.02 dB at 36
+        ("acA800-200gm", 272, 136, 6.02),  # MDSplus, ACA800
         ("scA1400-30gm", 500, 192, 12.1),  # scout light, example
         ("scA1400-30gm", 600, 0, 21.24),  # the same, second branch
     ],

@@ -333,6 +333,8 @@ RAW_GAINS = (
     (r"piA|acA(640-90|640-100|640-120|645-100|750-30|780-75|1300-22|1300-30|1600-20)", _0_0359_DB),
     # 20 · log10(GainRaw / 32), from 36 on: AW00089317, "acA2000-50, acA2040-25 only".
     (r"acA(2000-50|2040-25)", _LINEAR),
+    # 20 · log10(GainRaw / 136), from 136 on: device ACA800 of MDSplus, which quotes Basler's page "Gain".
+    (r"acA800-200", _LINEAR),
     # scout: two branches that meet at 512 (scout light manual, "Gain").
     (r"scA|slA", _SCOUT),
 )
