@@ -20,9 +20,12 @@ def test_what_is_within_the_noise_is_no_part_of_a_correction() -> None:
 
 
 @pytest.mark.parametrize("y_axis", ["up", "down"])
-def test_footprints_move_with_their_centres_in_every_unit(y_axis: str) -> None:
+def test_footprints_and_test_points_move_with_the_centres_in_every_unit(y_axis: str) -> None:
     parts = [{"ref": "U1", "center": [1, 0.5], "origin": [1, 0.4], "width": 0.2, "height": 0.1, "rotation": 30}]
-    board = BoardType.model_validate({"name": "b", "unit": "inch", "y_axis": y_axis, "components": parts})
+    points = {"name": ["U1-1"], "x": [1], "y": [0.4]}
+    board = BoardType.model_validate(
+        {"name": "b", "unit": "inch", "y_axis": y_axis, "components": parts, "test_points": points}
+    )
     up = np.diag([25.4, 25.4 if y_axis == "up" else -25.4, 1.0])
     for mirrored in (False, True):
         move = Move(mirrored, 25.0, 1.0, (0.0, 0.0), (3.0, 1.0))
@@ -34,6 +37,8 @@ def test_footprints_move_with_their_centres_in_every_unit(y_axis: str) -> None:
         assert moved.components[0].origin == pytest.approx(
             tuple(apply(np.linalg.inv(up) @ move.matrix @ up, np.array([1, 0.4]))), abs=1e-5
         )
+        assert moved.test_points is not None
+        assert (moved.test_points.x[0], moved.test_points.y[0]) == moved.components[0].origin
 
 
 def test_an_outline_that_loses_its_fiducials_is_refused() -> None:

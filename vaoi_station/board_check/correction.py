@@ -79,6 +79,10 @@ def moved_board_type(board: BoardType, move: Move, groups: tuple[Group, ...]) ->
     change: dict[str, Any] = {"state": "draft", "revision": revision}
     if "components" in groups:
         change["components"] = tuple(map(part, board.components))
+        if (points := board.test_points) is not None:
+            places = [at(place) for place in zip(points.x, points.y, strict=True)]
+            x, y = zip(*places, strict=True) if places else ((), ())
+            change["test_points"] = points.model_copy(update={"x": x, "y": y})
     if "fiducials" in groups:
         for key in ("fiducials", "other_marks", "fixture_marks"):
             marks = getattr(board, key)

@@ -28,7 +28,14 @@ from vaoi_station.board_data.package_sizes import GUESS_MM
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model import BoardType
-from vaoi_station.model.board_type import MOST_CUT_OUT_CORNERS, Component, Fiducial, OtherMark, fiducials_by_board
+from vaoi_station.model.board_type import (
+    MOST_CUT_OUT_CORNERS,
+    Component,
+    Fiducial,
+    OtherMark,
+    PointTable,
+    fiducials_by_board,
+)
 from vaoi_station.model.reason import Note
 
 SAME_PLACE_MM = 1e-3
@@ -76,11 +83,20 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
             fiducials=tuple(fiducials),
             other_marks=tuple(other_marks) or None,
             components=tuple(map(_component, parts)),
+            test_points=_test_points(design),
         )
     except ValidationError as error:
         faults = "; ".join(str(fault["msg"]) for fault in error.errors()[:3])
         raise InputError(f"design {design.name!r} makes no board type: {faults}.") from error
     return board, tuple(notes)
+
+
+def _test_points(design: Design) -> PointTable | None:
+    if not design.net_points:
+        return None
+    x, y = zip(*(_rounded(p.at) for p in design.net_points), strict=True)
+    names, nets = zip(*((p.name, p.net) for p in design.net_points), strict=True)
+    return PointTable(name=names, x=x, y=y, net=nets)
 
 
 def _advice(design: Design, side: Side) -> str:

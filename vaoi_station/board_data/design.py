@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from pydantic import Field
 
@@ -147,6 +147,18 @@ class Mark:
     """Position on the panel of the board that the mark belongs to."""
 
 
+class NetPoint(NamedTuple):
+    """A point of a net that a probe can reach."""
+
+    name: str
+    ref: str
+    """The first letters of the part's designator; empty for a via."""
+    net: str
+    at: XY
+    on_top: bool
+    on_bottom: bool
+
+
 @dataclass(frozen=True)
 class Placement:
     """The way from one frame to another: mirror x, rotate, shift."""
@@ -233,6 +245,8 @@ class Design:
     """Of ODB++ and IPC-2581: the step that was read."""
     steps: tuple[str, ...] = ()
     """All steps of the file that can be read."""
+    net_points: tuple[NetPoint, ...] = ()
+    """Of a netlist that was joined: the points of the side that is imported."""
     notes: tuple[Note, ...] = ()
     """What the user must know about this import, a sentence each."""
 

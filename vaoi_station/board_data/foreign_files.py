@@ -11,6 +11,7 @@ from vaoi_station.errors import InputError
 
 _BOARD = "Give the board: KiCad's is the .kicad_pcb."
 _LAYERS = "It has no bodies of components. Export ODB++, IPC-2581 or GenCAD, or a centroid file."
+_NETLIST = "It has no bodies of components. Join it with the file of the board, to which it adds test points (--join)."
 _DATA = "Export the data themselves: ODB++, IPC-2581, GenCAD, a board of KiCad or EAGLE, or a centroid file."
 _UNPACK = "Unpack it, and give the file with board data, or a zip of the ODB++ folder."
 # No pattern repeats what could be matched in several ways: its time would grow beyond all limits.
@@ -22,7 +23,7 @@ _KINDS: tuple[tuple[re.Pattern[bytes], str, str], ...] = tuple(
         (rb"\((kicad_symbol_lib|footprint|module|kicad_wks)\b", "a library file of KiCad", _BOARD),
         (rb"(G04[^\n]*\*|G75\*|G36\*|%FS|%MO|%TF)", "a Gerber file", _LAYERS),
         (rb"M48\s*\n", "a drill file", _LAYERS),
-        (rb"(C  [^\n]*\n)*P  (JOB|UNITS|CODE|TITLE)\b", "an IPC-D-356 netlist", _LAYERS),
+        (rb"(C  [^\n]*\n)*P  (JOB|UNITS|CODE|TITLE)\b", "an IPC-D-356 netlist", _NETLIST),
         (rb"%PDF", "a PDF", _DATA),
         (rb"\x89PNG|\xff\xd8\xff|GIF8|II\*\0|MM\0\*", "a picture", _DATA),
         (rb"ISO-10303-21;", "a 3-D model (STEP)", _DATA),

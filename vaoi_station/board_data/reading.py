@@ -11,11 +11,13 @@ from vaoi_station.board_data.design import Design, Side
 from vaoi_station.board_data.foreign_files import refuse_archive, refuse_foreign
 from vaoi_station.board_data.frame import without_frame
 from vaoi_station.board_data.joining import join_designs
+from vaoi_station.board_data.net_points import with_net_points
 from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
 from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
 from vaoi_station.board_data.readers.gencad import is_gencad, read_gencad
 from vaoi_station.board_data.readers.html_bom import is_html_bom, read_html_bom
 from vaoi_station.board_data.readers.ipc2581 import is_ipc2581, read_ipc2581
+from vaoi_station.board_data.readers.ipc_d356 import is_ipc_d356, read_ipc_d356
 from vaoi_station.board_data.readers.kicad import is_kicad, read_kicad
 from vaoi_station.board_data.readers.odb import is_odb, read_odb
 from vaoi_station.board_data.readers.placement_table import TableOptions, read_placement_table
@@ -62,7 +64,7 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
     Args:
         path: the file or folder.
         options: what the user says about it.
-        join: a second file, with the bodies of the parts.
+        join: a second file, with the bodies of the parts, or the netlist of the board (IPC-D-356).
         side: the side for which both files are joined.
 
     Returns:
@@ -76,6 +78,11 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
     sizes = (*options.sizes, *package_sizes.shipped_table())
     design = _completed(_read(path, options), sizes)
+    if join is not None and join.is_file() and is_ipc_d356(_head(join)):
+        _refuse_without_effect(path, options, design.format, None)
+        if options.grid is not None:
+            raise InputError.field("--repeat", "the grid", "given", "absent: the netlist of --join is of one board")
+        return laid_out(with_net_points(design, read_ipc_d356(read_bytes(join), join), side))
     bodies = _completed(_read(join, Options(step=options.step)), sizes) if join is not None else None
     _refuse_without_effect(path, options, design.format, bodies.format if bodies is not None else None)
     if bodies is not None:

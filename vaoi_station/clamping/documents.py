@@ -59,7 +59,9 @@ class ClampedRequest(Strict):
     bow: Positive | None = Field(default=None, description="How far clamping may bend the board, 1 σ; else 0.2 mm.")
     thickness: Positive | None = Field(default=None, description="Thickness of the board; else 1.6 mm.")
     points: tuple[_Name | CadPoint, ...] = Field(
-        default=(), max_length=MOST_POINTS, description="Test points, components or fiducials by name, or CAD points."
+        default=(),
+        max_length=MOST_POINTS,
+        description="Test points (`U1-3`), components or fiducials by name, or CAD points.",
     )
     clearance: Positive | None = Field(
         default=None, description="Height above the board at which the probe travels: higher bodies are returned."

@@ -53,6 +53,12 @@ class FilmedBoard:
         return {c.address: c for c in self.board_type.components}
 
     @cached_property
+    def test_points(self) -> Mapping[str, tuple[float, float]]:
+        """The CAD coordinates of the test points by name."""
+        table = self.board_type.test_points
+        return {} if table is None else dict(zip(table.name, zip(table.x, table.y, strict=True), strict=True))
+
+    @cached_property
     def cad(self) -> Floats:
         """(f, 2) CAD coordinates of the fiducials."""
         return np.array([(f.x, f.y) for f in self.board_type.fiducials], np.float64).reshape(-1, 2)

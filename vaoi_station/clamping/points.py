@@ -33,11 +33,14 @@ def wanted_points(film: FilmedBoard, request: doc.ClampedRequest) -> list[Placed
             out.append((point.name, (point.x, point.y), _text(point.board), None))
         elif (part := film.parts.get(point)) is not None:
             out.append((point, part.center, _text(part.panel), part))
+        elif (at := film.test_points.get(point)) is not None:
+            part = film.parts.get(point.rpartition("-")[0])
+            out.append((point, at, None if part is None else _text(part.panel), part))
         elif (n := film.numbers.get(point)) is not None:
             mark = film.board_type.fiducials[n]
             out.append((point, (mark.x, mark.y), _text(mark.panel), None))
         else:
-            limit = f"a component or fiducial of board type {film.board_type.name!r}, or a point {{x, y}}"
+            limit = f"a test point, component or fiducial of board type {film.board_type.name!r}, or a point {{x, y}}"
             raise InputError.field("request", "points", point, limit)
     return out
 
@@ -67,7 +70,7 @@ class Placing:
         rows: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in columns]
         for (name, _, _, part), row in zip(wanted, rows, strict=True):
             row["name"] = name
-            if part is not None:
+            if part is not None and name == part.address:
                 row.update(self._top(part, row["z"], row["sigma_z"]))
         return _POINTS.validate_python(rows)
 

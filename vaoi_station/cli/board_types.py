@@ -73,7 +73,10 @@ def import_board_data(
     columns: Annotated[str | None, typer.Option(help="Centroid file: columns, as of `vaoi import`.")] = None,
     delimiter: Annotated[str | None, typer.Option(help="Centroid file: one character.")] = None,
     step: Annotated[str | None, typer.Option(help="ODB++, IPC-2581: the step, a board or a panel.")] = None,
-    join: Annotated[Path | None, typer.Option(help="Take bodies, outline and marks from this file.")] = None,
+    join: Annotated[
+        Path | None,
+        typer.Option(help="Take bodies, outline and marks from this file, or test points from this netlist."),
+    ] = None,
     sizes: Annotated[Path | None, typer.Option(help="TOML table of body sizes by package name.")] = None,
     confirm: Annotated[bool, typer.Option("--confirm", help="Store the board type; else only show it.")] = False,
     replace: Annotated[

@@ -261,7 +261,10 @@ def import_file(
     ] = None,
     join: Annotated[
         Path | None,
-        typer.Option(help="Centroid file: take bodies, heights, outline and marks from this file, by designator."),
+        typer.Option(
+            help="Centroid file: take bodies, heights, outline and marks from this file, by designator. "
+            "An IPC-D-356 netlist: test points."
+        ),
     ] = None,
     sizes: Annotated[Path | None, typer.Option(help="TOML table of body sizes by package name.")] = None,
 ) -> None:

@@ -110,7 +110,7 @@ _MAX_ENTRIES = {
     "cut_outs": 500,
 }
 """Largest number of entries in each list of a board type."""
-_MOST_HEIGHT_MM = 1000.0
+_MOST_HEIGHT_MM, _MOST_POINTS = 1000.0, 50_000
 MOST_CUT_OUT_CORNERS = 20_000
 """Largest number of corners of all cut-outs together."""
 BoardTypeState = Literal["draft", "approved", "retired"]
@@ -123,6 +123,7 @@ _NOT_FILMED: dict[str, Any] = OF_IMPORT | {
     "other_marks": True,
     "identity": True,
     "limits": True,
+    "test_points": True,
     "components": {"__all__": {"package", "size_from", "fitted"}},
 }
 """Keys on which no run depends. Without them the digest is that of versions that did not have them, so that drift is
@@ -201,6 +202,26 @@ class Place(FrozenModel):
     y: Finite
 
 
+class PointTable(FrozenModel):
+    """Points that a probe can reach, in columns of equal length: a board has thousands."""
+
+    name: tuple[Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)], ...]
+    """A pad as `U1-3`; no two are alike."""
+    x: tuple[Finite, ...]
+    y: tuple[Finite, ...]
+    net: tuple[str, ...] | None = None
+
+    @model_validator(mode="after")
+    def _columns_fit(self) -> Self:
+        counts = {len(self.name), len(self.x), len(self.y), len(self.name if self.net is None else self.net)}
+        if len(counts) > 1 or len(self.name) > _MOST_POINTS:
+            raise ValueError(
+                f"has columns of {sorted(counts)} entries, must have equal numbers, at most {_MOST_POINTS}"
+            )
+        _check_unique(list(self.name), "name")
+        return self
+
+
 class BoardLine(FrozenModel):
     """How boards of this type run through the line, where that differs from station.toml."""
 
@@ -244,6 +265,8 @@ class BoardType(FrozenModel):
     """Belt speed, rail, tail and longest board, where they differ from station.toml."""
     identity: BoardIdentity | None = None
     """The codes that state the id of a board; None: boards of this type have none."""
+    test_points: PointTable | None = None
+    """Points of this side that a probe can reach; None: not known."""
     limits: BoardLimits | None = None
     """Limits beyond which the measures of parts are marked; None: none are marked."""
 

@@ -94,7 +94,9 @@ class ImportOptions(Strict):
         description="Table of body sizes, in TOML: `[[package]]` with `pattern` and `size`.",
     )
     join: str | None = Field(
-        default=None, pattern=PREVIEW_ID, description="Id of another preview, whose file has bodies and outline."
+        default=None,
+        pattern=PREVIEW_ID,
+        description="Id of another preview, whose file has bodies and outline, or is a netlist (IPC-D-356).",
     )
 
 

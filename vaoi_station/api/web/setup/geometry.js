@@ -56,6 +56,8 @@ export function moved(type, move, withOutline) {
     ...part, center: at(part.center), rotation: Number(((((part.rotation ?? 0) + move.turn) % 360 + 360) % 360).toFixed(4)),
     ...(part.origin ? { origin: at(part.origin) } : {}),
   }));
+  const points = type.test_points?.x.map((x, n) => at([x, type.test_points.y[n]]));
+  const probed = points ? { test_points: { ...type.test_points, x: points.map(([x]) => x), y: points.map(([, y]) => y) } } : {};
   const around = withOutline && type.outline ? { outline: outlineOf(type).map(at), ...(type.cut_outs ? { cut_outs: type.cut_outs.map((c) => c.map(at)) } : {}) } : {};
-  return { ...type, ...around, components, state: "draft", revision: `${(type.revision ?? "").slice(0, 30)} moved`.trim() };
+  return { ...type, ...around, ...probed, components, state: "draft", revision: `${(type.revision ?? "").slice(0, 30)} moved`.trim() };
 }

@@ -1205,6 +1205,7 @@ const remarks = {
   "lines-left-out": (values) => `Linien von ${values.source} wurden weggelassen: ${Object.entries(LINES).filter(([key]) => values[key] !== "0").map(([key, words]) => `${values[key]} ${words} bei ${more(values[`${key}_at`])}`).join("; ")}.`,
   "mark-diameters-assumed": ({ names, diameter_mm }) => `Die Datei nennt keinen Durchmesser von ${more(names)}; ${diameter_mm} mm wird angenommen.`,
   "marks-found": ({ count, kind, by, names }) => `${count} ${KINDS[kind]}, ${BY[by]}: ${more(names)}.`,
+  "net-points-added": ({ count, shift_mm, agree, all }) => `${count} Prüfpunkte aus der Netzliste hinzugefügt, verschoben um (${shift_mm}) mm: ${agree} von ${all} Bauteilen stimmen überein.`,
   "notches-cut-off": ({ count, at }) => `${count} Konturen kreuzen den Umriss; was sie einschließen, wurde von ihm abgeschnitten: ab ${more(at)}.`,
   "outline-absent": () => "Die Datei hat keinen Umriss; die Ausdehnung von Bauteilen und Passmarken wird genommen.",
   "outline-elsewhere": () => "Passmarken liegen außerhalb des Umrisses; er wurde weggelassen. Prüfen, ob beide zur selben Leiterplatte gehören.",
