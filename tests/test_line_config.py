@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from vaoi_station.line_config import Line
+from vaoi_station.line_config import Hermes, Line
 
 VALID: dict[str, Any] = {
     "conveyor_mm_s": (0.0, 100.0), "barrier_mm": 0.0, "start_delay_s": 0.1,
@@ -73,3 +73,24 @@ def test_the_distance_of_the_rows_may_replace_the_period() -> None:
 def test_an_encoder_that_cannot_space_the_rows_is_refused(encoder: dict[str, float] | None, words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         Line(**VALID, pacing="encoder", encoder=encoder)
+
+
+def test_addresses_of_neighbours_have_the_port_of_the_lane_unless_it_is_given() -> None:
+    hermes = Hermes(lane=2, upstream="10.0.0.7", listen="10.0.0.8:7000")
+    assert [hermes.address(one) for one in ("10.0.0.7", "10.0.0.8:7000")] == [("10.0.0.7", 50102), ("10.0.0.8", 7000)]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({}, "upstream, listen or tap is missing"),
+        ({"tap": True, "upstream": "a"}, "tap excludes upstream and listen"),
+        ({"listen": "a", "supervisor": "b"}, "must end with a port"),
+        ({"listen": "a:99999"}, "its port must be from 1 to 65535"),
+        ({"listen": "a b"}, "listen"),
+        ({"listen": "a", "places": 0}, "places"),
+    ],
+)
+def test_neighbours_that_cannot_be_are_refused(table: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        Hermes(**table)

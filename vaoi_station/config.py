@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
-from vaoi_station.line_config import Line, NotNegative, Section
+from vaoi_station.line_config import Hermes, Line, NotNegative, Section
 from vaoi_station.model import CameraHead, Finite, Positive, Program, Visibility, Whole
 from vaoi_station.model.receivers import PushConfig
 from vaoi_station.model.root_path import RootPath
@@ -349,6 +349,7 @@ class StationConfig(Section):
     api: ApiConfig = ApiConfig()
     keep: KeepConfig = KeepConfig()
     push: PushConfig = PushConfig()
+    hermes: Hermes | None = None
     archive: ArchiveConfig | None = None
     program: Program = ()
     """Light, exposure and gain of the rows, in turn, unless the board type has a program."""

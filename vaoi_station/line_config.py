@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from vaoi_station.model import Finite, Positive
+from vaoi_station.model import Finite, Positive, Whole
 
 ENCODER_RESERVE = 1.25
 """Fastest speed of a belt with an encoder, as a multiple of its nominal speed, unless station.toml states it."""
@@ -232,3 +232,52 @@ class Line(Section):
 def row_ways_mm(row_mm: float, rows: int) -> tuple[float, ...]:
     """Return the belt's way at each row since row 0, for rows at equal distances, rounded to nm."""
     return tuple(round(row * row_mm, 6) for row in range(rows))
+
+
+HERMES_PORT = 50_100
+"""Port of IPC-HERMES-9852 to which the number of the lane is added."""
+HermesAddress = Annotated[str, Field(pattern=r"^[A-Za-z0-9.-]{1,253}(:[0-9]{1,5})?$")]
+"""Name or address, and if it is another than 50100 plus the lane, the port."""
+
+
+class Hermes(Section):
+    """The neighbours in the line that speak IPC-HERMES-9852 (docs/line.md)."""
+
+    lane: Annotated[Whole, Field(ge=1, le=99)] = 1
+    """Number of the lane; ports are 50100 plus this number unless they are given."""
+    upstream: HermesAddress | None = None
+    """The machine from which boards come: the station connects to it; None: it does not speak Hermes."""
+    listen: HermesAddress | None = None
+    """Address of this machine at which the next machine connects; None: it does not speak Hermes."""
+    supervisor: HermesAddress | None = None
+    """Address of this machine at which a supervisory system connects; None: there is none. The port must be given."""
+    tap: bool = False
+    """Whether the station only reads along between two other machines (`vaoi_station.hermes.tap`)."""
+    machine: Annotated[str, Field(min_length=1, max_length=80)] | None = None
+    """Name of the station in messages; None: `name`."""
+    places: Annotated[Whole, Field(ge=1, le=20)] = 1
+    """Number of boards that may stand between the barrier and the next machine."""
+    transfer_s: Annotated[Positive, Field(le=3600)] = 60.0
+    """Longest time from StartTransport to TransportFinished of the machine upstream."""
+    exit_s: Annotated[Positive, Field(le=3600)] = 5.0
+    """Time from the StartTransport of the next machine until a board has left the station."""
+    products: dict[str, str] = {}
+    """Board type for each ProductTypeId of the line."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.tap and (self.upstream or self.listen):
+            raise ValueError("tap excludes upstream and listen: a station that only reads along talks to none")
+        if not self.tap and not (self.upstream or self.listen):
+            raise ValueError("upstream, listen or tap is missing; give the neighbours that speak Hermes")
+        if self.supervisor is not None and ":" not in self.supervisor:
+            raise ValueError(f"supervisor is {self.supervisor!r}, but must end with a port, as in 0.0.0.0:50200")
+        for key in ("upstream", "listen", "supervisor"):
+            if (given := getattr(self, key)) is not None and not 1 <= self.address(given)[1] <= 65_535:
+                raise ValueError(f"{key} is {given!r}, but its port must be from 1 to 65535")
+        return self
+
+    def address(self, given: str) -> tuple[str, int]:
+        """Return host and port of an address as it is given in the table."""
+        host, _, port = given.partition(":")
+        return host, int(port) if port else HERMES_PORT + self.lane

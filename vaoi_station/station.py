@@ -25,6 +25,7 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import DeviceError, NotFoundError, StateError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
+from vaoi_station.hermes.service import HermesService
 from vaoi_station.model import Calibration, Reason
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.archive.event_log import EventLog
@@ -96,6 +97,8 @@ class Station:
         self._coordinator: StationCoordinator | None = None
         self.publisher: Publisher | None = None
         """What publishes the events of the running station to a broker; None without one."""
+        self.line: HermesService | None = None
+        """The connections of the running station to its neighbours; None if they do not speak Hermes."""
 
     @property
     def coordinator(self) -> StationCoordinator:
@@ -136,10 +139,11 @@ class Station:
             missing = () if uncalibrated is None else (Reason.of(uncalibrated),)
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
-            # What a station hands on to others: events to a broker, finished runs to an archive.
+            # Whom a station talks to: a broker, an archive of the plant, its neighbours in the line.
             publisher = Publisher.of(config, events, lambda: str(coordinator.snapshot().state))
             handover = _handover(config, events, archive)
-            receivers = [receiver for receiver in (publisher, handover) if receiver is not None]
+            line = HermesService.of(config, events)
+            receivers = [receiver for receiver in (publisher, handover, line) if receiver is not None]
             supervisor = Supervisor(lambda: notify("WATCHDOG=1"), lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
                 Parts(
@@ -204,7 +208,9 @@ class Station:
                 supervisor.watch(handover.thread)
             if publisher is not None:
                 parts.enter_context(publisher.running(supervisor.watch))
-            self._supervisor, self.publisher = supervisor, publisher
+            if line is not None:
+                parts.enter_context(line.running(supervisor.watch, coordinator.orders))
+            self._supervisor, self.publisher, self.line = supervisor, publisher, line
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     @property
@@ -353,7 +359,8 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         access = AccessControl(keys, audit, open_loopback=api.open_loopback)
         files = None if file is None else StationFiles(file.resolve(), config)
         with no_collections():
-            app = create_app(station.coordinator, names, access, station.publisher, file, files, api.root_path)
+            root = api.root_path
+            app = create_app(station.coordinator, names, access, station.publisher, file, files, root, station.line)
         web = WebServer(app, socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)

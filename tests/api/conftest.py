@@ -18,6 +18,7 @@ from vaoi_station.api.app import create_app
 from vaoi_station.api.certificate import CertificateFiles
 from vaoi_station.api.setup.station_files import StationFiles
 from vaoi_station.api.web_server import IDLE_S, WebServer, open_listener
+from vaoi_station.hermes.service import HermesService
 
 
 class Served:
@@ -32,9 +33,10 @@ class Served:
         files: StationFiles | None = None,
         root_path: str = "",
         idle_s: int = IDLE_S,
+        line: HermesService | None = None,
     ) -> None:
         self.station = station
-        self.app = create_app(station, access=access, files=files, root_path=root_path)
+        self.app = create_app(station, access=access, files=files, root_path=root_path, line=line)
         self._socket = open_listener("127.0.0.1", port, "test")
         self.port = self._socket.getsockname()[1]
         tls = None if certificate is None else CertificateFiles(*certificate)

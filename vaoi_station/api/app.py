@@ -24,6 +24,7 @@ from vaoi_station.api.routes import (
     keys,
     metrics,
     mosaics,
+    neighbours,
     orders,
     pictures,
     runs,
@@ -35,6 +36,7 @@ from vaoi_station.api.routes.cameras import CameraTrials
 from vaoi_station.api.routes.services import Services
 from vaoi_station.api.setup import calibration, camera_exchange, optics, settings
 from vaoi_station.api.setup.station_files import StationFiles
+from vaoi_station.hermes.service import HermesService
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.control.readiness import EXPECTED, NOT_READY
@@ -53,18 +55,19 @@ def create_app(
     config: Path | None = None,
     files: StationFiles | None = None,
     root_path: str = "",
+    line: HermesService | None = None,
 ) -> FastAPI:
     """Create the web application of a coordinator. The caller starts and stops the coordinator itself.
 
     Clients may address the application by any of `names`, by loopback, by the machine's names and by any IP address.
     Without `access`, every caller may send every request, and there are no keys; without `config`, the station's
-    station.toml, no findings of the doctor; without `files`, nothing to set the station up. Paths may begin with
-    `root_path`, which a proxy has not removed.
+    station.toml, no findings of the doctor; without `files`, nothing to set the station up; without `line`, no
+    neighbours. Paths may begin with `root_path`, which a proxy has not removed.
 
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
     """
-    services = Services(coordinator, EventHub(coordinator), publisher)
+    services = Services(coordinator, EventHub(coordinator), publisher, line)
 
     previews = Previews()
 
@@ -95,7 +98,7 @@ def create_app(
     problems.install(app)
     # First, because routes are tried in order, and a browser asks for dozens of files of a page at once.
     pages.install(app)
-    nouns = (station, orders, board_types, runs, trends, pictures, batch, mosaics, events)
+    nouns = (station, orders, neighbours, board_types, runs, trends, pictures, batch, mosaics, events)
     routers = [noun.router(services) for noun in nouns]
     camera_trials = CameraTrials(services.coordinator)
     routers += [

@@ -21,6 +21,7 @@ from vaoi_station.cli.cameras import cameras
 from vaoi_station.cli.cutting import cut
 from vaoi_station.cli.demo import demo
 from vaoi_station.cli.keys import keys
+from vaoi_station.cli.line import app as line
 from vaoi_station.cli.parts import parts
 from vaoi_station.cli.plan import plan
 from vaoi_station.cli.plants import dataset, restitch
@@ -90,6 +91,7 @@ app.add_typer(keys, name="keys")
 app.add_typer(archive, name="archive")
 app.add_typer(board_types, name="board-types")
 app.add_typer(cameras, name="cameras")
+app.add_typer(line, name="line")
 
 
 def main() -> None:

@@ -226,6 +226,21 @@ def receivers(context: CheckContext) -> Iterator[Finding]:
         yield ok(f"the MQTT broker {broker.host} can be used")
 
 
+def neighbours(context: CheckContext) -> Iterator[Finding]:
+    """Check that each product of the line has a board type."""
+    hermes = context.config.hermes
+    if hermes is None:
+        yield not_applicable("station.toml has no neighbours that speak Hermes")
+        return
+    known = {file.board_type.name for file in BoardTypeDirectory(context.config.board_types).list() if file.board_type}
+    wrong = [f"{product} ({name})" for product, name in hermes.products.items() if name not in known]
+    if wrong:
+        message = f"hermes.products: the board types of {', '.join(wrong)} do not exist or cannot be read."
+        yield warning("product-unusable", message, "Store the board types, or correct the names.", "products")
+    else:
+        yield ok(f"the board types of {len(hermes.products)} products of the line can be read")
+
+
 def _broker(broker: MqttConfig) -> Iterator[Finding]:
     if importlib.util.find_spec("paho") is None:
         message = f"push.mqtt: {broker.host} is configured, but the package paho-mqtt is absent."

@@ -8,6 +8,7 @@ import os
 import pwd
 import re
 import resource
+import socket
 import stat
 import struct
 import sys
@@ -29,6 +30,8 @@ _MAX_ERROR_AT, _SIZE = 24, 256
 """Byte offset of `maxerror` in struct timex of 64-bit Linux; and a buffer size that is larger than this struct."""
 USB_PER_CAMERA_MB = 8
 """Memory that Aravis submits at a time for each USB camera (ARV_UV_STREAM_MAXIMUM_SUBMIT_TOTAL)."""
+CONNECT_S = 3.0
+"""Longest wait for a machine of the line, s."""
 USB_PARAMETER = "sys/module/usbcore/parameters/usbfs_memory_mb"
 _SMALLER = "Lower [ring] runs or [line] longest_board_mm in station.toml"
 _LOCK = (
@@ -263,3 +266,22 @@ def judge_usb_memory(granted_mb: int | None, cameras: int) -> Finding:
     action = f"echo 256 > /{USB_PARAMETER}; permanently: "
     action += "install -m 644 deploy/vaoi-usb-memory.conf /etc/tmpfiles.d/"
     return fault("usb-memory-small", message, action, **figures)
+
+
+def upstream(context: CheckContext) -> Iterator[Finding]:
+    """Check that the machine upstream in the line is reached, if no station runs that has a connection to it."""
+    hermes = context.config.hermes
+    if hermes is None or hermes.upstream is None:
+        yield not_applicable("no machine upstream speaks Hermes")
+    elif context.running is not None:
+        yield not_applicable("the running station has the only connection: see GET neighbours")
+    else:
+        host, port = hermes.address(hermes.upstream)
+        try:
+            socket.create_connection((host, port), CONNECT_S).close()
+        except OSError as error:
+            message = f"hermes.upstream: {host}:{port} is not reached: {error.strerror or error}."
+            action = "Switch the machine on, check cable, address, and that its Hermes lane is enabled."
+            yield warning("neighbour-lost", message, action, "upstream")
+        else:
+            yield ok(f"the machine upstream is reached at {host}:{port}")

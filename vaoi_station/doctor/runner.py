@@ -42,6 +42,8 @@ STATION_CHECKS: tuple[tuple[str, Callable[[CheckContext], Iterable[Finding]]], .
     ("stand-ins", file_checks.stand_ins),
     ("certificate", file_checks.station_certificate),
     ("receivers", file_checks.receivers),
+    ("neighbours", file_checks.neighbours),
+    ("upstream", machine_checks.upstream),
     ("disk", storage_checks.data),
     ("shared memory", machine_checks.ring_space),
     ("memory lock", machine_checks.lock_limit),
@@ -61,6 +63,7 @@ FILE_CHECKS: dict[str, frozenset[str]] = {
     "stand-ins": ALL_KEYS,
     "certificate": frozenset({"api"}),
     "receivers": frozenset({"push", "data"}),
+    "neighbours": frozenset({"hermes", "board_types"}),
     "disk": frozenset({"data"}),
     "shared memory": frozenset({"ring", "line", "cameras"}),
 }

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.limits import QueuedSeats, ThreadLimit
+from vaoi_station.hermes.service import HermesService
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
 
@@ -27,6 +28,8 @@ class Services:
     coordinator: StationCoordinator
     hub: EventHub
     publisher: Publisher | None = None
+    line: HermesService | None = None
+    """The neighbours in the line; None if they do not speak Hermes."""
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: QueuedSeats = field(

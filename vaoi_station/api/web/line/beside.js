@@ -2,6 +2,7 @@
 import { lines, make, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
+import { Neighbours } from "./neighbours.js";
 
 const WIDE = matchMedia("(min-width: 1300px)"); // as line.css has it: on others nothing is asked for
 const DIGITS = { sigma_px: 3, residual_px: 3, ready_ms: 0, slip_percent: 2 };
@@ -9,7 +10,8 @@ const PART = `
 <h2 data-text="lastMeasures"></h2>
 <dl id="last-measures"></dl>
 <h2 data-text="nextOrders"></h2>
-<ol id="next-orders"></ol>`;
+<ol id="next-orders"></ol>
+<div id="neighbours"></div>`;
 
 // The figures of a run that has a result, as pairs of name and value.
 function figuresOf(run) {
@@ -29,6 +31,7 @@ export class Beside extends View {
 
   constructor(root) {
     super(PART, root);
+    this.neighbours = new Neighbours(this.part("neighbours"));
   }
 
   async showBoard(run) {

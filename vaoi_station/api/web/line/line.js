@@ -81,6 +81,7 @@ export class LineView extends View {
 
   tick() {
     this.last.tick(this.#station.time_ms());
+    this.beside.neighbours.tick();
     const { now, stale } = this.#station;
     const passing = now?.line_held.some((reason) => ["line-filming", "belt-stopped"].includes(reason.code));
     if (performance.now() - this.#shownAt > (passing ? PASSING_MS : QUIET_MS) && !stale) this.#refresh();

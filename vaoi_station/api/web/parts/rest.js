@@ -44,6 +44,8 @@ async function beginAgain() {
 export const part = (address) => address.split("/").map(encodeURIComponent).join("/");
 
 export const station = () => call("GET", "/station");
+export const neighbours = () => call("GET", "/neighbours");
+export const boardIsOut = (board) => call("DELETE", `/neighbours/boards/${part(board)}`);
 export const boardTypes = async () => (await call("GET", "/board-types")).board_types;
 export const runs = (query) => call("GET", `/runs?${new URLSearchParams(query)}`);
 export const trends = (query) => call("GET", `/trends?${new URLSearchParams(query)}`);

@@ -978,6 +978,17 @@ export const texts = {
   orderOf: ({ board_type, board_id, job_id, runs_left, state, certain }) =>
     [[board_type, board_id, job_id && `job ${job_id}`, runs_left && `${runs_left} left`].filter(Boolean).join(", "), state === "coming" && "is coming", certain === false && "uncertain which board"].filter(Boolean).join(": "),
   moreOrders: (n) => `and ${n} more`,
+  neighbours: "Neighbours in the line",
+  sides: { upstream: "upstream", downstream: "next machine", supervisor: "supervisor" },
+  neighbour: ({ side, address, connected, machine, state }) =>
+    `${texts.sides[side]} (${address || "tap"}): ${connected ? [machine, texts.transfer[state] ?? "connected"].filter(Boolean).join(", ") : "not connected"}`,
+  transfer: {
+    idle: "idle", "board available": "board available", "machine ready": "machine ready", "available and ready": "board available, machine ready",
+    transporting: "a board moves", stopped: "transport stopped", finished: "transport finished",
+  },
+  waitingBoard: ({ board_id, doubtful }) => (doubtful ? `${board_id}: it is not known whether the next machine has it` : `${board_id} waits for the next machine`),
+  boardIsOut: "It is out",
+  reallyOut: "Really out? Press again",
   pictureBeingMade: "The picture is being made.",
 
   // counters and strip

@@ -1,0 +1,475 @@
+"""A line of three machines in simulated time: `python -m tests.hermes.line_of_three --boards 1000 --seed 1`.
+
+The station's own lane and sessions stand between two machines that revoke, time out, die and come back at random, and
+people take boards off the belt. Every byte goes through framing, cut anywhere. The belt knows which board is which: at
+the next machine each board has the id of its own message, or one that the station made because it knew none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import itertools
+import random
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from vaoi_station.hermes.framing import Framing
+from vaoi_station.hermes.lane import TRANSFERS, Lane, Side, Transfer
+from vaoi_station.hermes.messages import Message, read_message
+from vaoi_station.hermes.session import Answer, Role, Session, State
+from vaoi_station.line_config import Hermes
+from vaoi_station.model import Reason
+from vaoi_station.runs.run.order_queue import LineBoard
+
+STATION = "station"
+STUCK_S = 2000.0
+"""Time without a board that moves on after which the line counts as stuck."""
+SHORTEST_S, LONGEST_S = 1.0, 6.0
+"""Time from StartTransport until a board meets the barrier."""
+FAILED = {"0": "unknown", "1": "good", "2": "bad"}
+
+
+@dataclass(eq=False)
+class Board:
+    """A board on the belt."""
+
+    number: int
+    id: str
+    failed: str
+    where: str = "upstream"
+
+
+class World:
+    """Simulated time."""
+
+    def __init__(self, seed: int) -> None:
+        self.now_s, self.random = 0.0, random.Random(seed)
+        self._due: list[tuple[float, int, Callable[[], object]]] = []
+        self._count = itertools.count()
+
+    def after(self, delay_s: float, act: Callable[[], object]) -> None:
+        heapq.heappush(self._due, (self.now_s + delay_s, next(self._count), act))
+
+    def step(self) -> None:
+        self.now_s, _, act = heapq.heappop(self._due)
+        act()
+
+
+class End:
+    """One end of a connection: what a machine does with it."""
+
+    session: Session | None = None
+    send: Callable[[Message], None]
+
+    def up(self) -> None: ...
+    def take(self, message: Message) -> None: ...
+    def down(self) -> None: ...
+
+
+class Wire:
+    """A connection that is made again after each break; messages need up to 50 ms and are cut anywhere."""
+
+    def __init__(self, world: World, sender: End, receiver: End, decisions_s: list[float], station: Role) -> None:
+        self.world, self.decisions_s, self.station = world, decisions_s, station
+        self.ends: dict[Role, End] = {"sender": sender, "receiver": receiver}
+        self.generation = 0
+        for role in self.ends:
+            self.ends[role].send = lambda message, role=role: self._send(role, self.generation, message)  # type: ignore[misc]
+        self.connect()
+
+    def connect(self) -> None:
+        self.generation += 1
+        self.open, self.quiet_until_s = True, dict.fromkeys(self.ends, 0.0)
+        self.framings = {role: Framing() for role in self.ends}
+        for role, end in self.ends.items():
+            end.session = Session(role, STATION if role == self.station else "other", 1, self.world.now_s)
+        receiver = self.ends["receiver"].session
+        assert receiver is not None
+        self._write("receiver", receiver.hello())
+        self.world.after(self.world.random.uniform(50, 4000), lambda g=self.generation: self.cut(g))  # type: ignore[misc]
+
+    def cut(self, generation: int) -> None:
+        """Break the connection: what was on its way is lost, and each side notices it by itself."""
+        if generation != self.generation or not self.open:
+            return
+        self.open = False
+        late_s = [self.world.random.uniform(0, 0.5) for _ in self.ends]
+        for wait_s, end in zip(late_s, self.ends.values(), strict=True):
+            self.world.after(wait_s, end.down)
+        self.world.after(max(late_s) + 2.0, self.connect)
+
+    def _send(self, role: Role, generation: int, message: Message) -> None:
+        session = self.ends[role].session
+        assert session is not None
+        if session.state is not State.CLOSED and generation == self.generation:
+            self._write(role, session.sent(message))
+
+    def _write(self, role: Role, message: Message) -> None:
+        other: Role = "receiver" if role == "sender" else "sender"
+        rng = self.world.random
+        data = message.to_bytes()
+        cut = rng.randrange(len(data))
+        for piece in (data[:cut], data[cut:]):
+            at_s = max(self.quiet_until_s[other], self.world.now_s + rng.uniform(0, 0.05))
+            self.quiet_until_s[other] = at_s
+            deliver = lambda piece=piece, g=self.generation: self._deliver(other, g, piece)  # noqa: E731
+            self.world.after(at_s - self.world.now_s, deliver)
+
+    def _deliver(self, role: Role, generation: int, data: bytes) -> None:
+        if generation != self.generation or not self.open:
+            return
+        begun_s = time.perf_counter()
+        for raw in self.framings[role].feed(data):
+            message = read_message(raw)
+            assert message is not None
+            end = self.ends[role]
+            assert end.session is not None
+            self._apply(role, end, end.session.received(message, self.world.now_s))
+        if role == self.station:
+            self.decisions_s.append(time.perf_counter() - begun_s)
+
+    def _apply(self, role: Role, end: End, answer: Answer) -> None:
+        for message in answer.send:
+            self._write(role, message)
+        assert not answer.close, f"{role} refused at {self.world.now_s}: {answer.close}"
+        if answer.news is not None and answer.news.tag == "ServiceDescription":
+            end.up()
+        elif answer.news is not None:
+            end.take(answer.news)
+
+
+class Windows:
+    """A queue of orders that knows announced boards only, by the window of their transport."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.announced: LineBoard | None = None
+        self.coming: list[tuple[float, LineBoard | None]] = []
+        """Time of StartTransport, and the board; None if it is not certain that it comes."""
+        self.of_run: dict[str, LineBoard | None] = {}
+        self._since_s = 0.0
+
+    def by_messages(self, on: bool) -> None:
+        assert on
+
+    def announce(self, lane: int, board: LineBoard) -> None:
+        self.announced = board
+
+    def withdrawn(self, lane: int) -> None:
+        self.announced = None
+
+    def started(self, lane: int) -> None:
+        self.coming.append((self.world.now_s, self.announced))
+
+    def finished(self, lane: int, transfer: Transfer) -> None:
+        assert transfer in TRANSFERS.values()
+        self.announced = None
+        if transfer == "not-started" and self.coming:
+            self.coming.pop()
+        elif transfer == "incomplete" and self.coming:
+            self.coming[-1] = (self.coming[-1][0], None)
+
+    def may_accept(self, lane: int) -> tuple[Reason, ...]:
+        self.coming = [one for one in self.coming if self.world.now_s - one[0] <= LONGEST_S + 1]
+        return (Reason(code="gap", message="A board is in the gap."),) if self.coming else ()
+
+    def barrier(self, run: str) -> None:
+        now_s = self.world.now_s
+        able = [one for one in self.coming if SHORTEST_S <= now_s - one[0] <= LONGEST_S]
+        self.of_run[run] = able[0][1] if len(able) == 1 and len(self.coming) == 1 else None
+        self.coming = [one for one in self.coming if one not in able]
+
+    def board_of_run(self, run: str) -> LineBoard | None:
+        return self.of_run.get(run)
+
+
+class Upstream(End):
+    """Has the boards; revokes, finishes late or not at all."""
+
+    def __init__(self, world: World, line: Line) -> None:
+        self.world, self.line, self.generation = world, line, 0
+        self.board: Board | None = None
+
+    def up(self) -> None:
+        self.generation += 1
+        self.world.after(self.world.random.uniform(0, 3), lambda g=self.generation: self.offer(g))  # type: ignore[misc]
+
+    def down(self) -> None:
+        self.generation += 1
+
+    def offer(self, generation: int) -> None:
+        session, rng = self.session, self.world.random
+        if generation != self.generation or session is None or not session.may_send("BoardAvailable") or session.moving:
+            return
+        if self.board is None:
+            self.board = self.line.next_board()
+        board = self.board
+        if board is None:
+            return
+        if rng.random() < 0.2:
+            self.send(Message.of("BoardForecast", FailedBoard=0, FlippedBoard=0, BoardId=board.id))
+        failed = next(code for code, name in FAILED.items() if name == board.failed)
+        values = {"BoardId": board.id, "BoardIdCreatedBy": "upstream", "FailedBoard": failed, "FlippedBoard": "1"}
+        self.send(Message("BoardAvailable", values))
+        if rng.random() < 0.15:
+            self.world.after(rng.uniform(0, 4), lambda: self.revoke(generation))
+
+    def revoke(self, generation: int) -> None:
+        session = self.session
+        if generation != self.generation or session is None or session.moving:
+            return
+        if session.may_send("RevokeBoardAvailable"):
+            self.send(Message.of("RevokeBoardAvailable"))
+            self.world.after(self.world.random.uniform(0, 3), lambda: self.offer(generation))
+
+    def take(self, message: Message) -> None:
+        if message.tag == "StartTransport":
+            board, rng = self.board, self.world.random
+            assert board is not None
+            assert board.id == message.get("BoardId")
+            what = rng.choices(("3", "1", "2"), (0.95, 0.03, 0.02))[0]
+            if what == "3":
+                self.board = None
+                self.line.travels(board)
+            elif what == "2":
+                self.board = None
+                self.line.stands_between(board)
+            late_s = 80.0 if rng.random() < 0.01 else rng.uniform(0.3, 3)
+            self.world.after(late_s, lambda g=self.generation: self.finish(g, board, what))  # type: ignore[misc]
+        elif message.tag == "StopTransport":
+            self.world.after(self.world.random.uniform(0, 3), lambda g=self.generation: self.offer(g))  # type: ignore[misc]
+
+    def finish(self, generation: int, board: Board, what: str) -> None:
+        session = self.session
+        if generation == self.generation and session is not None and session.may_send("TransportFinished"):
+            self.send(Message.of("TransportFinished", TransferState=what, BoardId=board.id))
+            if session.state is State.IDLE:
+                self.world.after(self.world.random.uniform(0, 3), lambda: self.offer(generation))
+
+
+class Downstream(End):
+    """Takes the boards; is ready or not, and stops a transfer before or after its end."""
+
+    def __init__(self, world: World, line: Line) -> None:
+        self.world, self.line, self.generation = world, line, 0
+        self.offered: Message | None = None
+
+    def up(self) -> None:
+        self.generation += 1
+        self.offered = None
+        self.world.after(self.world.random.uniform(0, 3), lambda g=self.generation: self.ready(g))  # type: ignore[misc]
+
+    def down(self) -> None:
+        self.generation += 1
+
+    def ready(self, generation: int) -> None:
+        session, rng = self.session, self.world.random
+        if generation != self.generation or session is None or not session.may_send("MachineReady"):
+            return
+        self.send(Message.of("MachineReady", FailedBoard=0))
+        if rng.random() < 0.15:
+            self.world.after(rng.uniform(0, 3), lambda: self.unready(generation))
+        self.begin(generation)
+
+    def unready(self, generation: int) -> None:
+        session = self.session
+        if generation == self.generation and session is not None and session.may_send("RevokeMachineReady"):
+            self.send(Message.of("RevokeMachineReady"))
+            self.world.after(self.world.random.uniform(0, 3), lambda: self.ready(generation))
+
+    def begin(self, generation: int) -> None:
+        session = self.session
+        if generation != self.generation or session is None or session.state is not State.BOTH:
+            return
+        assert self.offered is not None
+        offered, rng = self.offered, self.world.random
+        self.send(Message.of("StartTransport", BoardId=session.board))
+        what = rng.choices(("3", "1", "2"), (0.95, 0.03, 0.02))[0]
+        self.world.after(0.2, lambda: self.board_moves(generation, offered, what))
+        if what != "3" or rng.random() < 0.3:
+            self.world.after(rng.uniform(0.4, 1.5), lambda: self.stop(generation, what))
+
+    def board_moves(self, generation: int, offered: Message, what: str) -> None:
+        if generation == self.generation and what == "3" and self.session is not None and self.session.moving:
+            self.line.leaves(offered)
+        elif what == "2" or (what == "3" and self.world.random.random() < 0.5):
+            pass  # it stands between the machines, or the machine died before it took it
+
+    def stop(self, generation: int, what: str) -> None:
+        session = self.session
+        if generation == self.generation and session is not None and session.may_send("StopTransport"):
+            self.send(Message.of("StopTransport", TransferState=what, BoardId=session.board))
+            if session.state is State.IDLE:
+                self.world.after(self.world.random.uniform(0, 3), lambda: self.ready(generation))
+
+    def take(self, message: Message) -> None:
+        if message.tag == "BoardAvailable":
+            self.offered = message
+            self.world.after(self.world.random.uniform(0, 1), lambda g=self.generation: self.begin(g))  # type: ignore[misc]
+        elif message.tag == "TransportFinished":
+            session, generation = self.session, self.generation
+            assert session is not None
+            if session.state is State.FINISHED:
+                self.stop(generation, message.values["TransferState"])
+            else:
+                self.world.after(self.world.random.uniform(0, 3), lambda: self.ready(generation))
+
+
+class OfStation(End):
+    """The station's end on one side."""
+
+    def __init__(self, side: Side, line: Line) -> None:
+        self.side, self.line = side, line
+
+    def up(self) -> None:
+        assert self.session is not None
+        self.line.lane.connected(self.side, self.session, self.line.world.now_s)
+
+    def take(self, message: Message) -> None:
+        self.line.lane.received(self.side, message, self.line.world.now_s)
+
+    def down(self) -> None:
+        self.line.lane.lost(self.side, "cut", self.line.world.now_s)
+
+
+@dataclass
+class Score:
+    """What became of the boards."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+    decisions_s: list[float] = field(default_factory=list)
+    stuck: str = ""
+
+
+class Line:
+    """The belt, its three machines, and a person who takes boards off it."""
+
+    def __init__(self, seed: int, boards: int) -> None:
+        self.world = world = World(seed)
+        self.score, self._boards, self._made, self._runs = Score(), boards, 0, 0
+        self.behind: list[Board] = []
+        """Boards behind the cameras, the first one first; a board that the next machine took is not there."""
+        self.under_way = 0
+        self._moved_s = 0.0
+        self.orders = Windows(world)
+        ends: dict[Side, End] = {"upstream": OfStation("upstream", self), "downstream": OfStation("downstream", self)}
+        config = Hermes(upstream="upstream", listen="127.0.0.1", places=2, transfer_s=20, exit_s=2)
+        self.lane = Lane(config, STATION, 100.0, self.orders, lambda side, m: ends[side].send(m), self._publish)
+        decisions = self.score.decisions_s
+        Wire(world, Upstream(world, self), ends["upstream"], decisions, "receiver")
+        Wire(world, ends["downstream"], Downstream(world, self), decisions, "sender")
+        self._tick()
+
+    def run(self) -> Score:
+        """Let all boards pass."""
+        while self.score.counts.total() < self._boards:
+            self.world.step()
+            if self.world.now_s - self._moved_s > STUCK_S:
+                sessions = {side: str(session.state) for side, session in self.lane.sessions.items()}
+                self.score.stuck = f"at {self.world.now_s:.0f} s: {sessions}, {self.lane.held}, {self.lane.waiting}"
+                break
+        return self.score
+
+    # --- what happens on the belt
+
+    def next_board(self) -> Board | None:
+        if self._made == self._boards:
+            return None
+        self._made += 1
+        rng = self.world.random
+        return Board(self._made, str(uuid.UUID(int=rng.getrandbits(128))), rng.choice(tuple(FAILED.values())))
+
+    def _end(self, board: Board, how: str) -> None:
+        assert board.where != "gone"
+        board.where = "gone"
+        self.score.counts[how] += 1
+        self._moved_s = self.world.now_s
+
+    def travels(self, board: Board) -> None:
+        if self.world.random.random() < 0.02:
+            self._end(board, "taken off before the barrier")
+            return
+        self.world.after(self.world.random.uniform(SHORTEST_S, LONGEST_S), lambda: self._barrier(board))
+
+    def stands_between(self, board: Board) -> None:
+        # A person takes most of them out; some go on, as late as any board.
+        if self.world.random.random() < 0.7:
+            self._end(board, "taken off between the machines")
+        else:
+            self.world.after(self.world.random.uniform(SHORTEST_S, LONGEST_S), lambda: self._barrier(board))
+
+    def _barrier(self, board: Board) -> None:
+        self._runs, board.where = self._runs + 1, "cameras"
+        run = f"run-{self._runs}"
+        self.orders.barrier(run)
+        self.lane.run_began(run, self.world.now_s)
+        self.world.after(self.world.random.uniform(1, 3), lambda: self._filmed(board, run))
+
+    def _filmed(self, board: Board, run: str) -> None:
+        board.where = "behind"
+        self.behind.append(board)
+        self.lane.run_ended(run, self.world.now_s)
+        if self.world.random.random() < 0.03:
+            self.world.after(self.world.random.uniform(0, 10), lambda: self._take_off(board))
+
+    def _take_off(self, board: Board) -> None:
+        """A person takes a board off behind the cameras, if the station lets him, and says so."""
+        if board.where != "behind" or (place := self.behind.index(board)) >= len(self.lane.waiting):
+            return
+        if self.lane.remove(self.lane.waiting[place].board_id, self.world.now_s):
+            self.behind.remove(board)
+            self._end(board, "taken off behind the cameras")
+
+    def leaves(self, offered: Message) -> None:
+        """The first board moves on: its id must be that of the offer."""
+        board = self.behind.pop(0)
+        its_own = offered.values["BoardIdCreatedBy"] == STATION
+        if not its_own and offered.values["BoardId"] != board.id:
+            self.score.wrong.append(f"board {board.number} got the id of another")
+        if not its_own and FAILED[offered.values["FailedBoard"]] != board.failed:
+            self.score.wrong.append(f"board {board.number} was {board.failed}, and passed as {offered}")
+        self._end(board, "passed without an id" if its_own else "passed with its id")
+
+    def _publish(self, _kind: str, _message: str, **_more: Any) -> None:
+        waiting = self.lane.waiting
+        if waiting and waiting[0].doubtful:
+            self.world.after(self.world.random.uniform(1, 60), lambda b=waiting[0].board_id: self._look(b))  # type: ignore[misc]
+
+    def _look(self, board_id: str) -> None:
+        """A person looks whether the doubtful board stands there, takes it out, and says that it is out."""
+        waiting = self.lane.waiting
+        if not waiting or waiting[0].board_id != board_id or not waiting[0].doubtful:
+            return
+        if len(self.behind) == len(waiting):
+            self._end(self.behind.pop(0), "taken off after a doubt")
+        assert self.lane.remove(board_id, self.world.now_s)
+
+    def _tick(self) -> None:
+        self.lane.decide(self.world.now_s)
+        self.world.after(0.1, self._tick)
+
+
+def percentile_ms(times_s: list[float], share: float) -> float:
+    """Return the time below which this share lies, ms."""
+    return sorted(times_s)[int(share * (len(times_s) - 1))] * 1e3
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--boards", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    score = Line(given.seed, given.boards).run()
+    for how, count in sorted(score.counts.items()):
+        print(f"{count:6} {how}")
+    print(f"{len(score.wrong):6} wrong {score.wrong[:5]}")
+    median_ms, late_ms = (percentile_ms(score.decisions_s, share) for share in (0.5, 0.99))
+    print(f"message to decision: median {median_ms:.2f} ms, p99 {late_ms:.2f} ms")
+    print(score.stuck or "not stuck")
+    raise SystemExit(bool(score.wrong or score.stuck))

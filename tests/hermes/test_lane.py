@@ -1,0 +1,232 @@
+"""The lane lets a board come only when it may, passes on what the line said of it, and never guesses where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.hermes.station import GivenOrders
+from vaoi_station.hermes.lane import Lane, Side
+from vaoi_station.hermes.messages import Message, Parts
+from vaoi_station.hermes.session import COMPLETE, INCOMPLETE, NOT_STARTED, Role, Session
+from vaoi_station.line_config import Hermes
+from vaoi_station.model import Reason
+
+BUSY = Reason(code="line-filming", message="A board is being filmed.", action="Wait.")
+ROLES: dict[Side, Role] = {"upstream": "receiver", "downstream": "sender"}
+SUB_BOARDS: Parts = {"SubBoards": (("SB", {"Pos": "1", "St": "4"}),)}
+
+
+class Played:
+    """A lane with neighbours whose messages a test gives."""
+
+    def __init__(self, **table: Any) -> None:
+        config = Hermes(upstream="a", listen="b", products={"P-1": "relay"}, exit_s=2, transfer_s=30, **table)
+        self.orders, self.events, self.supervised = GivenOrders(), list[str](), list[Message]()
+        self.sent: dict[Side, list[Message]] = {"upstream": [], "downstream": []}
+        self.lane = Lane(config, "station", 125.0, self.orders, self._send, self._publish, self.supervised.append)
+
+    def _send(self, side: Side, message: Message) -> None:
+        self.sent[side].append(self.lane.sessions[side].sent(message))
+
+    def _publish(self, _kind: str, _message: str, *, code: str, **_more: Any) -> None:
+        self.events.append(code)
+
+    def connect(self, side: Side, now_s: float = 0.0) -> None:
+        session = Session(ROLES[side], "station", 1, now_s)
+        session.received(Message.of("ServiceDescription", MachineId="m", LaneId=1, Version="1.6"), now_s)
+        self.lane.connected(side, session, now_s)
+
+    def take(self, side: Side, tag: str, parts: Parts | None = None, now_s: float = 0.0, **values: str | int) -> None:
+        answer = self.lane.sessions[side].received(Message.of(tag, parts or {}, **values), now_s)
+        assert not answer.close
+        if answer.news is not None:
+            self.lane.received(side, answer.news, now_s)
+
+    def available(self, board: str, parts: Parts | None = None, **values: str | int) -> None:
+        known: dict[str, str | int] = {"BoardIdCreatedBy": "printer", "FailedBoard": 1, "FlippedBoard": 1}
+        self.take("upstream", "BoardAvailable", parts, 0.0, BoardId=board, **(known | values))
+
+    def comes_in(self, board: str, parts: Parts | None = None, **values: str | int) -> None:
+        self.available(board, parts, **values)
+        self.take("upstream", "TransportFinished", TransferState=COMPLETE, BoardId=board)
+
+    def film(self, run: str) -> None:
+        self.lane.run_began(run, 0.0)
+        self.lane.run_ended(run, 0.0)
+
+    def tags(self, side: Side) -> list[str]:
+        return [message.tag for message in self.sent[side]]
+
+
+@pytest.fixture
+def played() -> Played:
+    return Played()
+
+
+def test_machine_ready_obeys_what_holds_the_line(played: Played) -> None:
+    played.orders.held = (BUSY,)
+    played.connect("upstream")
+    assert played.tags("upstream") == []
+    played.orders.held = ()
+    played.lane.decide(1.0)
+    played.orders.held = (BUSY,)
+    played.lane.decide(2.0)
+    assert played.tags("upstream") == ["MachineReady", "RevokeMachineReady"]
+    assert played.lane.held == (BUSY,)
+
+
+def test_a_board_is_not_started_while_the_line_is_held(played: Played) -> None:
+    played.connect("upstream")
+    played.orders.held = (BUSY,)
+    played.available("b1")
+    assert played.tags("upstream") == ["MachineReady", "RevokeMachineReady"]
+    assert played.orders.calls == ["announce b1"]
+
+
+def test_a_board_comes_in_and_its_product_names_its_board_type(played: Played) -> None:
+    played.connect("upstream")
+    played.comes_in("b1", ProductTypeId="P-1", TopBarcode="A7", FailedBoard=2, FlippedBoard=2)
+    assert played.tags("upstream") == ["MachineReady", "StartTransport", "StopTransport", "MachineReady"]
+    assert played.sent["upstream"][1].values == {"BoardId": "b1", "ConveyorSpeed": "125"}
+    (board,) = played.orders.gap
+    assert (board.board_type, board.barcodes, board.failed, board.side) == ("relay", ("A7",), "bad", "bottom")
+    assert [m.tag for m in played.supervised] == ["BoardArrived"]
+
+
+def test_what_the_line_says_of_a_board_travels_on(played: Played) -> None:
+    for side in ROLES:
+        played.connect(side)
+    sizes: dict[str, str | int] = {"Length": "120.50", "WorkOrderId": "W9", "Route": 3, "TopBarcode": "A7"}
+    played.comes_in("b1", SUB_BOARDS, FailedBoard=2, **sizes)
+    played.film("run-1")
+    offered = played.sent["downstream"][-1]
+    assert (offered.tag, offered.parts) == ("BoardAvailable", SUB_BOARDS)
+    expected = {"BoardId": "b1", "BoardIdCreatedBy": "printer", "FailedBoard": "2", "FlippedBoard": "1"}
+    assert offered.values == {**expected, **{name: str(value) for name, value in sizes.items()}}
+
+
+def test_a_board_that_no_message_announced_gets_an_id_of_the_station(played: Played) -> None:
+    played.connect("downstream")
+    played.film("run-1")
+    offered = played.sent["downstream"][-1]
+    assert (offered.get("BoardIdCreatedBy"), offered.get("FailedBoard")) == ("station", "0")
+    again = Played()
+    again.connect("downstream")
+    again.film("run-1")
+    assert again.sent["downstream"][-1].get("BoardId") == offered.get("BoardId")
+
+
+def test_a_board_leaves_after_its_time_or_when_the_next_machine_has_it(played: Played) -> None:
+    played.connect("downstream")
+    for run, early in (("run-1", False), ("run-2", True)):
+        played.film(run)
+        board = played.lane.waiting[0].board_id
+        played.take("downstream", "MachineReady", FailedBoard=0)
+        played.take("downstream", "StartTransport", BoardId=board)
+        if not early:
+            played.lane.decide(1.9)
+            assert played.tags("downstream")[-1] == "BoardAvailable"
+            played.lane.decide(2.0)
+        played.take("downstream", "StopTransport", BoardId=board, TransferState=COMPLETE)
+        assert played.tags("downstream")[-1] == "TransportFinished"
+        assert not played.lane.waiting
+    assert [m.tag for m in played.supervised] == ["BoardArrived", "BoardDeparted"] * 2
+
+
+def test_a_board_that_was_not_started_is_offered_again(played: Played) -> None:
+    played.connect("downstream")
+    played.film("run-1")
+    board = played.lane.waiting[0].board_id
+    played.take("downstream", "MachineReady", FailedBoard=0)
+    played.take("downstream", "StartTransport", BoardId=board)
+    played.take("downstream", "StopTransport", BoardId=board, TransferState=NOT_STARTED)
+    assert played.tags("downstream")[-2:] == ["TransportFinished", "BoardAvailable"]
+
+
+def _cut(played: Played, board: str) -> None:
+    played.lane.lost("downstream", "cut", 1.0)
+    played.connect("downstream", 2.0)
+
+
+def _stop(played: Played, board: str) -> None:
+    played.take("downstream", "StopTransport", BoardId=board, TransferState=INCOMPLETE)
+
+
+@pytest.mark.parametrize("ends", [_cut, _stop])
+def test_a_board_between_the_machines_holds_the_lane_until_a_person_has_looked(
+    played: Played, ends: Callable[[Played, str], None]
+) -> None:
+    for side in ROLES:
+        played.connect(side)
+    played.film("run-1")
+    board = played.lane.waiting[0].board_id
+    played.take("downstream", "MachineReady", FailedBoard=0)
+    played.take("downstream", "StartTransport", BoardId=board)
+    ends(played, board)
+    played.sent = {"upstream": [], "downstream": []}
+    played.lane.run_ended(None, 3.0)
+    assert played.tags("upstream") == played.tags("downstream") == []
+    assert played.events == ["board-between-machines"]
+    assert [reason.code for reason in played.lane.held] == ["board-between-machines"]
+    assert played.lane.remove(board, 4.0)
+    assert played.tags("downstream") == ["BoardAvailable"]
+
+
+def test_a_neighbour_that_dies_while_a_board_comes_leaves_it_uncertain(played: Played) -> None:
+    played.connect("upstream")
+    played.available("b1")
+    played.lane.lost("upstream", "cut", 1.0)
+    assert played.orders.calls == ["announce b1", "started", "finished incomplete"]
+    assert played.events == ["board-between-machines"]
+
+
+def test_a_board_that_was_only_offered_is_withdrawn_with_its_neighbour(played: Played) -> None:
+    played.orders.held = (BUSY,)
+    played.connect("upstream")
+    played.available("b1")
+    played.lane.lost("upstream", "cut", 1.0)
+    assert played.orders.calls == ["announce b1", "withdrawn"]
+    assert not played.events
+
+
+def test_a_board_that_does_not_come_is_given_up_after_its_time(played: Played) -> None:
+    played.connect("upstream")
+    played.available("b1")
+    played.lane.decide(30.5)
+    assert played.sent["upstream"][-1] == Message.of("StopTransport", TransferState=INCOMPLETE, BoardId="b1")
+    assert played.events == ["board-late"]
+    played.take("upstream", "TransportFinished", TransferState=NOT_STARTED, BoardId="b1")
+    assert played.orders.calls[-1] == "finished not-started"
+
+
+def test_no_board_comes_while_the_places_behind_the_cameras_are_taken() -> None:
+    played = Played(places=1)
+    played.connect("upstream")
+    played.film("run-1")
+    assert played.tags("upstream") == ["MachineReady", "RevokeMachineReady"]
+    assert [reason.code for reason in played.lane.held] == ["boards-wait"]
+    assert played.lane.remove(played.lane.waiting[0].board_id, 1.0)
+    assert played.tags("upstream")[-1] == "MachineReady"
+
+
+def test_a_board_that_was_taken_out_is_revoked(played: Played) -> None:
+    played.connect("downstream")
+    played.film("run-1")
+    assert played.lane.remove(played.lane.waiting[0].board_id, 1.0)
+    assert played.tags("downstream")[-1] == "RevokeBoardAvailable"
+    assert played.supervised[-1].get("BoardTransfer") == "3"
+    assert not played.lane.remove("unknown", 1.0)
+
+
+def test_the_next_machine_may_ask_for_a_board_by_its_code(played: Played) -> None:
+    for side in ROLES:
+        played.connect(side)
+    played.comes_in("b1", TopBarcode="A7")
+    played.film("run-1")
+    played.take("downstream", "QueryBoardInfo", TopBarcode="A7")
+    assert played.sent["downstream"][-1].get("BoardId") == "b1"
+    played.take("downstream", "QueryBoardInfo", TopBarcode="none")
+    assert played.sent["downstream"][-1] == Message.of("SendBoardInfo", TopBarcode="none")

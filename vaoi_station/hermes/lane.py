@@ -1,0 +1,359 @@
+"""The station as a machine in the line: it takes boards from its upstream neighbour and offers them to the next one.
+
+| what happens | what the station does |
+|---|---|
+| the next board may come, and there is room behind the cameras | MachineReady; else RevokeMachineReady |
+| BoardAvailable, and the board may come | the order of the board is looked up; StartTransport |
+| TransportFinished | StopTransport with the same state |
+| the run of the board has ended, so that its matrices are safe | BoardAvailable to the next machine |
+| StartTransport of the next machine | TransportFinished after `exit_s`, or when it sends StopTransport |
+| the upstream machine is lost while a board moves | the transfer counts as incomplete: a board that comes has no id |
+| the next machine is lost while a board moves | all waits until a person has said that the board is out |
+
+No I/O: messages go out by a callback, and times are those of a monotonic clock, s.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol
+
+from vaoi_station.errors import VaoiError
+from vaoi_station.hermes.messages import Message, Parts
+from vaoi_station.hermes.session import COMPLETE, INCOMPLETE, NOT_STARTED, Session, State
+from vaoi_station.line_config import Hermes
+from vaoi_station.model import Reason
+from vaoi_station.runs.run.order_queue import LineBoard
+
+Side = Literal["upstream", "downstream"]
+Transfer = Literal["complete", "incomplete", "not-started"]
+TRANSFERS: Mapping[str, Transfer] = {NOT_STARTED: "not-started", INCOMPLETE: "incomplete", COMPLETE: "complete"}
+FAILED: Mapping[str, Literal["unknown", "good", "bad"]] = {"0": "unknown", "1": "good", "2": "bad"}
+SIDES: Mapping[str, Literal["top", "bottom"]] = {"1": "top", "2": "bottom"}
+_OWN_IDS = uuid.UUID("6f0c2c1e-0a57-5d0b-9c55-2a3a4b0f9852")
+"""Namespace of the ids that stations make for boards without one."""
+TRANSFERRED, INSERTED, REMOVED = 1, 3, 3
+"""How a board arrived or departed, for the supervisory system."""
+_SAY_OUT = "Take the board out if it stands behind the cameras, then say on the page that it is out."
+
+
+class LineOrders(Protocol):
+    """What the lane asks of the queue of orders, and tells it (`OrderRequests`)."""
+
+    def by_messages(self, on: bool, /) -> None:
+        """Take whether a neighbour announces every board."""
+
+    def announce(self, lane: int, board: LineBoard, /) -> None:
+        """Take a board that comes next."""
+
+    def withdrawn(self, lane: int, /) -> None:
+        """Take back the announced board."""
+
+    def started(self, lane: int, /) -> None:
+        """Take that the announced board moves now."""
+
+    def finished(self, lane: int, state: Transfer, /) -> None:
+        """Take how the transfer ended."""
+
+    def may_accept(self, lane: int, /) -> tuple[Reason, ...]:
+        """Return why the next board must wait; empty if it may come."""
+
+    def board_of_run(self, run: str, /) -> LineBoard | None:
+        """Return the announced board of a run; None if there is none, or it is not certain."""
+
+
+def announce(orders: LineOrders, config: Hermes, message: Message, publish: Callable[..., Any]) -> None:
+    """Announce the board of a BoardAvailable or BoardForecast to the queue of orders.
+
+    If the board type of its product cannot be used, that is published, and it is announced without one.
+    """
+    codes = (message.get("TopBarcode"), message.get("BottomBarcode"))
+    product = message.get("ProductTypeId") or ""
+    board = LineBoard(
+        board_id=message.values["BoardId"],
+        barcodes=tuple(code for code in codes if code),
+        product=product,
+        board_type=config.products.get(product),
+        failed=FAILED[message.get("FailedBoard") or "0"],
+        side=SIDES.get(message.get("FlippedBoard") or "0"),
+        details=message,
+    )
+    try:
+        orders.announce(config.lane, board)
+    except VaoiError as refusal:
+        text = f"hermes.products.{product} cannot be used: {refusal.message}"
+        publish("trouble", text, code="product-unusable", action=refusal.action)
+        orders.announce(config.lane, replace(board, board_type=None))
+
+
+@dataclass(frozen=True)
+class Inside:
+    """A board in the station, from the barrier until the next machine has it."""
+
+    board_id: str
+    values: Mapping[str, str]
+    """Its attributes by the messages of the line."""
+    parts: Parts
+    run: str | None
+    announced: bool
+    """Whether its id came from the line; else the station made it."""
+    doubtful: bool = False
+    """Whether it is not known if the next machine has it."""
+
+    def message(self, tag: str, **others: str | int) -> Message:
+        """Return a message on this board."""
+        return Message.of(tag, self.parts if tag != "BoardForecast" else {}, **{**self.values, **others})
+
+
+@dataclass
+class Lane:
+    """One lane. `send` passes a message to a neighbour, `publish` is like `EventLog.add`."""
+
+    config: Hermes
+    machine: str
+    """Name of the station in messages."""
+    speed_mm_s: float
+    orders: LineOrders
+    send: Callable[[Side, Message], object]
+    publish: Callable[..., Any]
+    supervise: Callable[[Message], object] = lambda _: None
+    """Passes what arrived and departed to the supervisory system."""
+    sessions: dict[Side, Session] = field(default_factory=dict)
+    """The connections whose neighbours have said who they are."""
+    waiting: deque[Inside] = field(default_factory=deque)
+    """The boards behind the cameras, the next one to leave first."""
+    passing: set[str] = field(default_factory=set)
+    """The runs whose boards are being filmed or stitched."""
+    held: tuple[Reason, ...] = ()
+    """Why the upstream neighbour is not asked for the next board."""
+    _started_s: dict[Side, float] = field(default_factory=dict)
+    """Times at which a transfer began that has not ended."""
+    _offered: Message | None = None
+
+    @property
+    def passes_on(self) -> bool:
+        """Whether there is a next machine to which boards are offered."""
+        return self.config.listen is not None
+
+    # --- connections
+
+    def connected(self, side: Side, session: Session, now_s: float) -> None:
+        """Take a neighbour that has said who it is."""
+        self.sessions[side] = session
+        self.decide(now_s)
+
+    def lost(self, side: Side, why: str, now_s: float) -> None:
+        """Take the end of a connection. A board that was on its way to or from this neighbour is in doubt."""
+        session = self.sessions.pop(side, None)
+        if session is None:
+            return
+        moving = self._started_s.pop(side, None) is not None
+        board = session.board or "without an id"
+        if side == "upstream":
+            if moving:
+                self.orders.finished(self.config.lane, "incomplete")
+            elif self._offered is not None:
+                self.orders.withdrawn(self.config.lane)
+            self._offered = None
+        if moving:
+            text = f"The {side} machine was lost ({why}) while board {board} moved: it is not known where the board is."
+            self._doubt(side, text)
+        self.decide(now_s)
+
+    def _doubt(self, side: Side, text: str) -> None:
+        """Publish that a board may stand between two machines; offer no other board to the next one meanwhile."""
+        action = "Take the board out if it stands between the machines; let it in again with a new order."
+        if side == "downstream" and self.waiting:
+            # Offered again, or taken for gone, its id could go to the board behind it.
+            self.waiting[0] = replace(self.waiting[0], doubtful=True)
+            action = _SAY_OUT
+        self.publish("trouble", text, code="board-between-machines", action=action)
+
+    # --- messages
+
+    def received(self, side: Side, message: Message, now_s: float) -> None:
+        """Act on a message that the state of its connection allows."""
+        match message.tag:
+            case "BoardForecast" if self._offered is None and "upstream" not in self._started_s:
+                if side == "upstream" and message.get("BoardId"):
+                    announce(self.orders, self.config, message, self.publish)
+            case "BoardAvailable":
+                self._offered = message
+                announce(self.orders, self.config, message, self.publish)
+            case "RevokeBoardAvailable":
+                self._offered = None
+                self.orders.withdrawn(self.config.lane)
+            case "TransportFinished":
+                self._arrived(message)
+            case "StartTransport":
+                self._started_s["downstream"] = now_s
+            case "StopTransport":
+                self._taken(message)
+            case "QueryBoardInfo":
+                self._tell(side, message)
+            case "Notification":
+                text = f"The {side} machine says: {message.get('Description') or 'nothing'}"
+                kind = "trouble" if message.get("Severity") in ("1", "2") else "line"
+                number = message.get("NotificationCode")
+                self.publish(kind, f"{text} (notification {number}).", code="neighbour-says")
+            case "Command":
+                text = f"The {side} machine sends command {message.get('Command')}, which the station does not obey."
+                self.publish("line", text, code="neighbour-says")
+        self.decide(now_s)
+
+    def _arrived(self, finished: Message) -> None:
+        """Answer the end of a transfer from upstream."""
+        state, board = finished.values["TransferState"], finished.values["BoardId"]
+        self._started_s.pop("upstream", None)
+        self.orders.finished(self.config.lane, TRANSFERS[state])
+        session = self.sessions["upstream"]
+        if session.may_send("StopTransport"):
+            self.send("upstream", Message.of("StopTransport", TransferState=state, BoardId=board))
+        if state == COMPLETE and self._offered is not None:
+            values = self._offered.board()
+            more: dict[str, str | int] = {
+                "MachineId": self.machine,
+                "UpstreamLaneId": self.config.lane,
+                "BoardTransfer": TRANSFERRED,
+            }
+            self.supervise(Message.of("BoardArrived", self._offered.parts, **{**values, **more}))
+        elif state == INCOMPLETE:
+            self._doubt("upstream", f"Board {board} did not come in completely: it stands between the machines.")
+        self._offered = None
+
+    def _taken(self, stop: Message) -> None:
+        """Take that the next machine has stopped the transfer: it knows whether it has the board."""
+        session, state = self.sessions["downstream"], stop.values["TransferState"]
+        self._started_s.pop("downstream", None)
+        if session.may_send("TransportFinished"):
+            self.send("downstream", Message.of("TransportFinished", TransferState=state, BoardId=stop.get("BoardId")))
+        if state == COMPLETE and self.waiting:
+            self._depart(self.waiting.popleft(), TRANSFERRED)
+        elif state == INCOMPLETE:
+            board = stop.get("BoardId")
+            self._doubt("downstream", f"Board {board} did not leave completely: it stands between the machines.")
+        # A board that was not started is still here: it is offered again.
+
+    def _tell(self, side: Side, query: Message) -> None:
+        wanted = {name: code for name in ("TopBarcode", "BottomBarcode") if (code := query.get(name))}
+        found = (b for b in self.waiting if wanted and all(b.values.get(n) == code for n, code in wanted.items()))
+        board = next(found, None)
+        self.send(side, Message.of("SendBoardInfo", {}, **wanted) if board is None else board.message("SendBoardInfo"))
+
+    # --- runs
+
+    def run_began(self, run: str, now_s: float) -> None:
+        """Take that a board met the barrier."""
+        self.passing.add(run)
+        session = self.sessions.get("downstream")
+        if session is not None and session.state in (State.IDLE, State.READY):
+            self.send("downstream", self._board_of(run).message("BoardForecast"))
+        self.decide(now_s)
+
+    def run_ended(self, run: str | None, now_s: float) -> None:
+        """Take that a board is behind the cameras and its run has ended; None: it passed without a run."""
+        self.passing.discard(run or "")
+        board = self._board_of(run)
+        if not board.announced:
+            more: dict[str, str | int] = {
+                "MachineId": self.machine,
+                "UpstreamLaneId": self.config.lane,
+                "BoardTransfer": INSERTED,
+            }
+            self.supervise(board.message("BoardArrived", **more))
+        if self.passes_on:
+            self.waiting.append(board)
+        self.decide(now_s)
+
+    def _board_of(self, run: str | None) -> Inside:
+        """Return what is known of the board of a run; a board whose id is not certain gets one of this station."""
+        known = self.orders.board_of_run(run) if run is not None else None
+        if known is not None and isinstance(known.details, Message):
+            return Inside(known.board_id, known.details.board(), known.details.parts, run, announced=True)
+        own = str(uuid.uuid5(_OWN_IDS, f"{self.machine}/{run}") if run is not None else uuid.uuid4())
+        values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": "0", "FlippedBoard": "0"}
+        return Inside(own, values, {}, run, announced=False)
+
+    def remove(self, board_id: str, now_s: float) -> bool:
+        """Take that somebody took a board out behind the cameras. Return False if it is not there or is leaving."""
+        board = next((board for board in self.waiting if board.board_id == board_id), None)
+        session = self.sessions.get("downstream")
+        is_first = board is not None and board is self.waiting[0]
+        if board is None or (is_first and session is not None and session.moving):
+            return False
+        if is_first and session is not None and session.may_send("RevokeBoardAvailable"):
+            self.send("downstream", Message.of("RevokeBoardAvailable"))
+        self.waiting.remove(board)
+        self._depart(board, REMOVED)
+        self.decide(now_s)
+        return True
+
+    def _depart(self, board: Inside, how: int) -> None:
+        more: dict[str, str | int] = {
+            "MachineId": self.machine,
+            "DownstreamLaneId": self.config.lane,
+            "BoardTransfer": how,
+        }
+        self.supervise(board.message("BoardDeparted", **more))
+
+    # --- decisions
+
+    def decide(self, now_s: float) -> None:
+        """Send what is due: whether the next board may come, and which board waits for the next machine."""
+        self.held = (*self.orders.may_accept(self.config.lane), *(self.doubt() or self._full()))
+        self._decide_upstream(now_s)
+        self._decide_downstream(now_s)
+
+    def doubt(self) -> tuple[Reason, ...]:
+        """Return the reason that it is not known where the first board is; empty if it is known."""
+        if not self.waiting or not self.waiting[0].doubtful:
+            return ()
+        message = f"It is not known whether the next machine has board {self.waiting[0].board_id}."
+        return (Reason(code="board-between-machines", message=message, action=_SAY_OUT),)
+
+    def _full(self) -> tuple[Reason, ...]:
+        inside = len(self.waiting) + len(self.passing)
+        if not self.passes_on or inside < self.config.places:
+            return ()
+        there = "is ready for no board" if "downstream" in self.sessions else "is not connected"
+        message = f"{inside} boards are in the station, and the next machine {there}."
+        if not self.waiting:
+            message = f"{inside} boards are in the station, and their results are not there yet."
+        return (Reason(code="boards-wait", message=message, action="Wait, or look at the next machine."),)
+
+    def _decide_upstream(self, now_s: float) -> None:
+        session = self.sessions.get("upstream")
+        if session is None:
+            return
+        begun_s = self._started_s.get("upstream")
+        if begun_s is not None and now_s - begun_s > self.config.transfer_s and session.state is State.TRANSPORTING:
+            board = session.board
+            self.send("upstream", Message.of("StopTransport", TransferState=INCOMPLETE, BoardId=board))
+            message = f"Board {board} did not come within {self.config.transfer_s:g} s of StartTransport."
+            action = "Check the conveyors between the machines; a longer way needs a larger hermes.transfer_s."
+            self.publish("trouble", message, code="board-late", action=action)
+        if self.held:
+            if session.may_send("RevokeMachineReady"):
+                self.send("upstream", Message.of("RevokeMachineReady"))
+            return
+        if session.may_send("MachineReady"):
+            self.send("upstream", Message.of("MachineReady", FailedBoard=0))
+        if session.state is State.BOTH:
+            self.orders.started(self.config.lane)
+            self._started_s["upstream"] = now_s
+            start = Message.of("StartTransport", BoardId=session.board, ConveyorSpeed=f"{self.speed_mm_s:g}")
+            self.send("upstream", start)
+
+    def _decide_downstream(self, now_s: float) -> None:
+        session = self.sessions.get("downstream")
+        if session is None or not self.waiting or self.waiting[0].doubtful:
+            return
+        begun_s = self._started_s.get("downstream")
+        if session.state is State.TRANSPORTING and begun_s is not None and now_s - begun_s >= self.config.exit_s:
+            board = self.waiting[0].board_id
+            self.send("downstream", Message.of("TransportFinished", TransferState=COMPLETE, BoardId=board))
+        if session.may_send("BoardAvailable") and not session.moving:
+            self.send("downstream", self.waiting[0].message("BoardAvailable"))
