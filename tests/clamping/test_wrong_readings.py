@@ -124,9 +124,11 @@ def test_readings_at_one_place_are_refused() -> None:
         ({"readings": (Reading(fiducial="F9", x=0.0, y=0.0),)}, "F1, F2"),
         ({"readings": Clamp().readings("F1", z=True)}, "sigma_z"),
         ({"points": ("R99",)}, "R99"),
+        ({"sigma": 8.0, "unit": "inch"}, "unit is inch"),
+        ({"readings": (Reading(fiducial="F1", x=213_410.0, y=0.0),)}, "unit is mm"),
     ],
 )
-def test_names_that_the_board_type_does_not_have_are_refused(fields: dict[str, object], field: str) -> None:
+def test_names_and_lengths_that_no_board_has_are_refused(fields: dict[str, object], field: str) -> None:
     known = {"readings": Clamp().readings("F1", "F2"), **fields}
     with pytest.raises(InputError, match=field):
         clamp(filmed(), request(**known))  # type: ignore[arg-type]

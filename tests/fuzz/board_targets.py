@@ -5,14 +5,18 @@ from __future__ import annotations
 import gzip
 import json
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import ValidationError
 
+from tests.board_data.readers.samples import KICAD
 from vaoi_station.board_data import Options, read_design, to_board_type
 from vaoi_station.board_data.design import Side
 from vaoi_station.board_data.import_process import ImportTask, import_file
 from vaoi_station.board_data.readers import unix_compress
+from vaoi_station.board_data.readers.ipc_d356 import is_ipc_d356, read_ipc_d356
+from vaoi_station.board_data.readers.kicad import read_kicad
 from vaoi_station.errors import VaoiError
 
 SIDES: tuple[Side, ...] = ("top", "bottom")
@@ -35,9 +39,12 @@ def _both_sides(file: Path, step: str | None = None) -> None:
 def board_data(data: bytes, folder: Path) -> None:
     """Read the bytes as board data of a CAD system: as they are, and as two files of an ODB++ design.
 
-    These are the component layer of a board, and the header of a panel of such boards.
+    These are the component layer of a board, and the header of a panel of such boards. A netlist is laid on a board.
     """
     path, job, panel = folder / "b.txt", folder / "job", folder / "panel"
+    if is_ipc_d356(data):
+        to_board_type(replace(read_kicad(KICAD.encode(), path), net_points=read_ipc_d356(data, path)), "top")
+        return
     layer = Path("steps", "s", "layers", "comp_+_top", "components")
     members = {path: data, job / "matrix" / "matrix": b"", job / layer: data, panel / "matrix" / "matrix": b""}
     members |= {panel / layer: b"UNITS=MM\nCMP 0 1 1 0 N R1 10k;\n", panel / "steps" / "panel" / "stephdr": data}

@@ -16,7 +16,7 @@ from vaoi_station.clamping.readings import MisfitError, Readings
 from vaoi_station.geometry.transforms import apply
 from vaoi_station.model import Reason, Status
 
-_MOST_DISTANCES, _MOST_FOR_DISTANCES = 20, 60
+_MOST_DISTANCES, _MOST_FOR_DISTANCES = 20, 24
 
 
 def clamp(film: FilmedBoard, request: doc.ClampedRequest) -> doc.Clamped:

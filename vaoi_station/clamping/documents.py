@@ -13,9 +13,9 @@ from vaoi_station.model.board_type import ONE_LINE, Position
 from vaoi_station.model.frozen_model import Finite, Point, Positive
 
 MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4, "mil": 0.0254}
-MOST_READINGS, MOST_POINTS = 1000, 20_000
+MOST_READINGS, MOST_POINTS = 200, 20_000
 _Name = Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)]
-_Ppm = Annotated[Positive, Field(le=1e5)]
+_Ppm = Annotated[Positive, Field(ge=1e-3, le=1e5)]
 
 
 class Reading(Strict):
@@ -53,7 +53,9 @@ class ClampedRequest(Strict):
     turn_deg: Finite | None = Field(
         default=None, description="Expected angle of the CAD x axis in the tester's coordinates, good to 10°."
     )
-    turn_sigma_deg: Positive = Field(default=0.5, description="Its σ, if a single reading leaves the turn to it.")
+    turn_sigma_deg: Annotated[Positive, Field(ge=1e-6, le=30)] = Field(
+        default=0.5, description="Its σ, if a single reading leaves the turn to it."
+    )
     scale_ppm: _Ppm = Field(default=100.0, description="How well the tester's scale agrees with the cameras', 1 σ.")
     shear_ppm: _Ppm = Field(default=100.0, description="How well its axes agree in scale and right angle, 1 σ.")
     bow: Positive | None = Field(default=None, description="How far clamping may bend the board, 1 σ; else 0.2 mm.")

@@ -100,9 +100,9 @@ class FilmedBoard:
 
     @cached_property
     def half(self) -> tuple[Floats, Floats]:
-        """Middle and half extent of the board, CAD units."""
+        """Middle and half extent of the board, at least 1 mm, CAD units."""
         low, high = self.board_type.extent()
-        return (low + high) / 2, (high - low) / 2
+        return (low + high) / 2, np.maximum((high - low) / 2, 1.0 / self.board_type.mm_per_unit)
 
     def corners(self, part: Component) -> list[tuple[float, float]]:
         """Return the corners of a component's footprint, CAD coordinates."""

@@ -18,6 +18,7 @@ from vaoi_station.errors import InputError, VaoiError
 from vaoi_station.geometry.robust import Failure, fit_similarity
 from vaoi_station.geometry.transforms import Floats, Similarity, System, apply
 from vaoi_station.model import Reason
+from vaoi_station.model.frozen_model import MOST_MM
 
 _BOW_MM, _THICKNESS_MM = 0.2, 1.6
 _SIGMAS, _SHAPE_SIGMAS = 5.0, 3.0
@@ -31,6 +32,20 @@ _MOST_STRAIN = 1e-2
 _UNIT_FACTORS = {25.4: "mm read as inch", 1 / 25.4: "inch read as mm", 1e3: "µm read as mm", 1e-3: "mm read as µm",
                  39.37: "mil read as mm", 0.0254: "mm read as mil"}  # fmt: skip
 _SHAPE = {SCALE: "scale", STRETCH: "stretch (x longer, y shorter)", SHEAR: "shear"}
+
+
+def _check_lengths(request: doc.ClampedRequest) -> None:
+    """Raise InputError if a length is none of a board, which most probably is of another unit."""
+    mm, most = doc.MM_PER_UNIT[request.unit], {"sigma": 10.0, "sigma_z": 10.0, "bow": 20.0, "thickness": 20.0}
+    stated = [(key, getattr(of, key)) for of in (request, *request.readings) for key in most if hasattr(of, key)]
+    for key, value in stated:
+        if value is not None and not 1e-6 <= value * mm <= most[key]:
+            raise InputError.field("request", key, value, f"1e-06 to {most[key]:g} mm; unit is {request.unit}")
+    for reading in request.readings:
+        far = max(abs(reading.x), abs(reading.y), abs(reading.z or 0.0))
+        if far * mm > MOST_MM:
+            limit = f"within ±{MOST_MM:g} mm; unit is {request.unit}"
+            raise InputError.field("request", f"the reading of {reading.fiducial}", far, limit)
 
 
 class MisfitError(VaoiError):
@@ -53,6 +68,7 @@ class Readings:
             raise InputError.field("request", "readings.fiducial", unknown[0], limit)
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise InputError.field("request", "readings.fiducial", twice[0], "read once", "Send the mean of readings.")
+        _check_lengths(self.request)
         self.mm, self.names, self.of = mm, names, np.array([known[name] for name in names])
         self.at = mm * np.array([(reading.x, reading.y) for reading in r])
         own = mm * np.array([self.request.sigma if reading.sigma is None else reading.sigma for reading in r])

@@ -60,7 +60,8 @@ def assignments(
         reach = _LEAST_MM + _SIGMAS * (2 * sigma + ppm * 1e-6 * np.abs(seen - middle))
         return np.abs(seen[:, None] - expected), reach, float(np.angle(turn))
 
-    pairs = sorted(combinations(range(len(seen)), 2), key=lambda ij: -abs(seen[ij[0]] - seen[ij[1]]))[:_MOST_PAIRS]
+    each = [(i, j) for i, j in combinations(range(len(seen)), 2) if abs(seen[i] - seen[j]) > _LEAST_MM]
+    pairs = sorted(each, key=lambda ij: -abs(seen[ij[0]] - seen[ij[1]]))[:_MOST_PAIRS]
     granted = [
         _LEAST_MM + _SIGMAS * (float(np.hypot(sigma[i], sigma[j])) + ppm * 1e-6 * abs(seen[i] - seen[j]))
         for i, j in pairs
@@ -78,7 +79,7 @@ def assignments(
     others, starts = dict[tuple[int, ...], Assignment](), 0
     for (i, j), most in zip(pairs, granted, strict=False):
         alike = np.argwhere((np.abs(apart - abs(seen[i] - seen[j])) <= most) & (apart > 0)).tolist()
-        for m, n in alike[: _MOST_STARTS - starts]:
+        for m, n in alike[: max(_MOST_STARTS - starts, 0)]:
             off, reach, turn = explained(i, j, m, n)
             of = np.where(off.min(1) <= reach, off.argmin(1), -1)
             once = np.bincount(of[of >= 0]).max(initial=0) == 1

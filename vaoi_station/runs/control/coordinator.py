@@ -6,6 +6,7 @@ runs do not change, so the caller's own thread reads them from the archive. Pixe
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -60,6 +61,8 @@ from vaoi_station.runs.states.schemas import (
 )
 from vaoi_station.stitching.quality.verdict import sigma_limit_px
 from vaoi_station.store import BoardTypeDirectory
+
+_log = logging.getLogger(__name__)
 
 ARM_LIMIT_S = 30.0
 """Longest wait for the acquisition process to confirm arming or disarming."""
@@ -365,7 +368,10 @@ class StationCoordinator(BoardTypeRequests):
         InputError: a reading or a point names what the board type does not have. StateError: no CAD mapping.
         """
         film = component_views.filmed_board(self._parts.archive.explained(run), self.heights.known(run))
-        return clamp(film, request)
+        answer = clamp(film, request)
+        for reason in answer.reasons:
+            _log.warning("hand-over of run %s is %s: %s", run, answer.status, reason.message)
+        return answer
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
         """Return the components of the run's board type, with their positions in tester coordinates."""
