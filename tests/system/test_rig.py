@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from tests.needs import need_aravis, need_emulator
+from tests.needs import DESCRIPTIONS, need_aravis, need_descriptions, need_emulator
 from tests.processes import ends_within
 from vaoi_station.config import read_config
 
@@ -70,6 +70,18 @@ def test_every_frame_of_three_cameras_is_in_its_proven_row(tmp_path: Path, films
     assert report["rms_px"] <= 0.10
     assert (report["boards_missed"], report["stray_pulses"]) == (0, 0)
     assert "all checks passed" in output
+
+
+def test_cameras_of_two_makers_film_a_board_as_the_rigs_own(tmp_path: Path, films: Path) -> None:
+    """Their names, units and triggers differ: GigE Vision 1 of Basler, and SFNC 2 of FLIR."""
+    need_descriptions()
+    makes = [f"--description={DESCRIPTIONS / name}.xml.gz" for name in ("Basler-acA2440-20gm", "FLIR-BFS-PGE-50S4C")]
+    options = ("--scenario", "small", "--boards", "1", "--workers", "1", *makes)
+    code, report, output = rig_run(tmp_path, films, *options)
+    assert (code, report["failings"]) == (0, []), output
+    [board] = report["boards"]
+    assert (board["status"], report["cameras"]) == ("ok", 2)
+    assert board["ok"] == board["proven"] == 2 * board["rows_due"] > 0
 
 
 def test_faults_are_reported_with_their_cause_and_affect_no_other_frame(tmp_path: Path, films: Path) -> None:
