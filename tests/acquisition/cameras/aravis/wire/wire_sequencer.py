@@ -108,9 +108,8 @@ def test_frames_behind_a_pulse_that_the_camera_ignored_are_not_proven(line: Call
     station.arm(*STEPS)
     station.bench.until(Armed)
     done = station.film(6, ignored=2)
-    usable = {frame.row: frame.usable for frame in done.frames}
-    assert usable == {0: True, 1: True, 2: False, 3: False, 4: False, 5: False}
     causes = {frame.row: frame.cause for frame in done.frames}
+    assert [frame.row for frame in done.frames if frame.usable] == [0, 1], causes
     assert "the light program has 300 µs: the camera's sequencer is at another row" in causes[3]
     assert "its frame states an exposure of 300 µs, but the light program has 100 µs" in causes[4]
     assert "its frame states a gain of 0 dB, but the light program has 6 dB" in causes[5]
