@@ -111,12 +111,13 @@ def _held_by_line(facts: LineFacts) -> Reason | None:
     stopped = health is not None and health.belt_stopped
     if facts.state is not StationState.ARMED:
         return _STOPPED if facts.state is StationState.FILMING and stopped else _BY_STATE[facts.state]
+    if facts.without_order:
+        return _NO_ORDER
     if health is None or not facts.expects_board:
-        return _NO_ORDER if facts.without_order else _UNREPORTED if facts.expects_board else _DISARMING
-    if facts.now_s - health.host_time_s > HEALTH_OLD_S:
-        return _SILENT
-    if not health.controller_ready:
-        return _NO_CONTROLLER
+        return _UNREPORTED if facts.expects_board else _DISARMING
+    silent = facts.now_s - health.host_time_s > HEALTH_OLD_S
+    if silent or not health.controller_ready:
+        return _SILENT if silent else _NO_CONTROLLER
     if health.standing:
         return _STANDING
     # The station's state is FILMING only from the first pulse on, and no longer after a run was given up.

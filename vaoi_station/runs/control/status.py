@@ -69,7 +69,7 @@ def snapshot_of(
         set_aside=core.storage.set_aside(),
         armed_with=orders.shown(),
         next_order=core.line.next_order,
-        orders=orders.listed()[:NEXT_ORDERS],
+        orders=orders.listed(NEXT_ORDERS),
         orders_waiting=len(orders.queue.kept),
         cameras=cameras,
         all_cameras_ready=all(camera.connected for camera in cameras),

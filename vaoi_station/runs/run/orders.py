@@ -172,8 +172,8 @@ class Orders:
         """Whether another board is to be filmed."""
         return self.next is not None
 
-    def listed(self) -> tuple[OrderStatus, ...]:
-        """Return all orders that have not been taken by a board, the next one first."""
+    def listed(self, most: int | None = None) -> tuple[OrderStatus, ...]:
+        """Return the orders that have not been taken by a board, the next one first; at most the given number."""
         known_s = float("inf")
         return tuple(
             OrderStatus(
@@ -188,7 +188,7 @@ class Orders:
                 certain=coming or self.queue.by_messages or self.doubt_of(queued.since_s, known_s) is None,
                 created=queued.created,
             )
-            for queued, coming in self.queue.shown()
+            for queued, coming in self.queue.shown()[:most]
         )
 
     def shown(self) -> ArmedWith | None:
