@@ -78,7 +78,7 @@ def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
     clock = found.pop("clock")
     assert (clock.level is Level.OK) == ("but the limit" not in clock.message), clock
     assert {finding.level for finding in found.values()} == {Level.OK}, found
-    assert found["firmware"].figures["firmware"] == "1.3.0"
+    assert found["firmware"].figures["firmware"] == "1.3.1"
     assert found["limits"].figures["channel_2_longest_us"] == 500.0
     for name in ("state", "boots", "config_crc", "events_first", "events_next", "run", "row", "events_lost"):
         assert getattr(after, name) == getattr(before, name), name

@@ -55,6 +55,8 @@ class Interlock(RuleBasedStateMachine):
         self.stated_until = -1
         """Tick until which the newest statement is valid."""
         self.permit = 1
+        self.was_high = False
+        self.fell: int | None = None
 
     @initialize(armed=st.booleans())
     def power_up(self, armed: bool) -> None:
@@ -67,7 +69,13 @@ class Interlock(RuleBasedStateMachine):
         talk(self.logic, requests, self.now)
 
     def high(self) -> bool:
-        return bool(self.logic.chip_ready() & 0xFF)
+        high = bool(self.logic.chip_ready() & 0xFF)
+        if high and not self.was_high and self.fell is not None:
+            assert self.now - self.fell >= ms(49), "it was low for less than 50 ms"
+        if self.was_high and not high:
+            self.fell = self.now
+        self.was_high = high
+        return high
 
     def events(self) -> list[Event]:
         struct, events = ctypes.create_string_buffer(16), []
@@ -176,6 +184,8 @@ def test_a_permit_is_for_one_board_and_the_reply_says_why_the_output_is_low(logi
     assert state_permit(logic, 1, 1000, now).hold == Hold.GAP
     now = pass_time(logic, now, ms(320))
     assert state_permit(logic, 2, 1000, now).hold == Hold.SPENT, "it was stated before the end of the run was known"
+    assert state_permit(logic, 3, 1000, now).hold == Hold.GAP, "it was high until a moment ago"
+    now = pass_time(logic, now, ms(380))
     assert state_permit(logic, 3, 1000, now).hold == Hold.NONE
     assert state_permit(logic, 3, 0, now).hold == Hold.HOST
     logic.bridge_edge(ctypes.c_uint32(now), 1)
@@ -243,6 +253,19 @@ def test_a_board_lowers_it_within_microseconds_and_it_rises_for_the_next_permit(
     line.link.permit = Permit(2, line.now_s + 60.0)
     line.run(3)
     assert is_high(chip)
+
+
+def test_it_stays_low_for_50_ms_at_least(chip: Chip) -> None:
+    """A neighbour by SMEMA takes a shorter opening for none. Here the host withdraws a permit and gives the next one."""
+    line = permitted(chip)
+    line.link.permit = None
+    line.run(5)
+    fell = fall(chip)
+    line.link.permit = Permit(2, line.now_s + 60.0)
+    line.run(20)
+    assert line.status().hold == Hold.GAP
+    line.run(60)
+    assert 0.05 * HZ <= chip.rises(PIN)[-1] - fell < 0.052 * HZ
 
 
 def test_a_permit_runs_out_at_its_time_and_the_host_withdraws_one(chip: Chip) -> None:

@@ -4,7 +4,7 @@
 
 #define FIRMWARE_MAJOR 1
 #define FIRMWARE_MINOR 3
-#define FIRMWARE_PATCH 0
+#define FIRMWARE_PATCH 1
 
 #ifndef FIRMWARE_BUILD
 #define FIRMWARE_BUILD "" /* set by `make` to the commit */

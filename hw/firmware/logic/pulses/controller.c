@@ -110,7 +110,7 @@ static void watch_barrier(struct controller *c, ticks_t now)
 
 void controller_edge(struct controller *c, const struct edge *edge)
 {
-    if (edge->blocked) c->interlock.high = ready_output(0);
+    if (edge->blocked) interlock_drop(c, edge->tick);
     watch_barrier(c, edge->tick); /* first confirm the edge before, which may have lasted long enough by now */
     ticks_t began = c->barrier.edge.tick;
     uint32_t bounce = barrier_edge(&c->barrier, edge);

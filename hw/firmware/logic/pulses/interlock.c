@@ -11,6 +11,7 @@ static uint8_t why_hold(const struct controller *c, ticks_t now)
     if (i->permit == PERMIT_TEST) return c->state == STATE_IDLE ? HOLD_NONE : HOLD_STATE;
     if (c->state != STATE_ARMED) return HOLD_STATE;
     if (c->barrier.raw || c->barrier.confirmed) return HOLD_BARRIER;
+    if (i->opened) return HOLD_GAP;
     if (c->clear_known && now - c->last_clear < c->configuration.active.timing.min_gap) return HOLD_GAP;
     return i->permit == i->spent ? HOLD_SPENT : HOLD_NONE;
 }
@@ -33,11 +34,23 @@ struct refusal interlock_state(struct controller *c, const struct ready_request 
 
 void interlock_spend(struct controller *c) { c->interlock.spent = c->interlock.permit; }
 
+void interlock_drop(struct controller *c, ticks_t now)
+{
+    struct interlock *i = &c->interlock;
+    if (i->high) {
+        i->fell = now;
+        i->opened = 1;
+    }
+    i->high = ready_output(0);
+}
+
 void interlock_poll(struct controller *c, ticks_t now)
 {
     struct interlock *i = &c->interlock;
     if (now - i->since >= i->lasting) i->lasting = 0;
+    if (now - i->fell >= READY_PAUSE) i->opened = 0;
     i->hold = why_hold(c, now);
     /* Set again on every call: an edge of the barrier lowers the output before the logic receives the edge. */
-    i->high = ready_output(i->hold == HOLD_NONE);
+    if (i->hold != HOLD_NONE || !ready_output(1)) interlock_drop(c, now);
+    else i->high = 1;
 }

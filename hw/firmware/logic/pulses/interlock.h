@@ -12,6 +12,8 @@ struct interlock {
     uint16_t spent;    /* permit that a board has used; PERMIT_TEST: none */
     ticks_t since;     /* when the statement came */
     uint32_t lasting;  /* ticks for which it is valid from then on; 0: there is none */
+    ticks_t fell;      /* when the output fell last */
+    uint8_t opened;    /* it fell less than READY_PAUSE ago */
     uint8_t high;      /* level of the output */
     uint8_t hold;      /* enum hold */
 };
@@ -20,6 +22,8 @@ struct interlock {
 struct refusal interlock_state(struct controller *c, const struct ready_request *request, ticks_t now);
 /* A board has come: the present permit is used up. */
 void interlock_spend(struct controller *c);
+/* Lowers the output, which then stays low for READY_PAUSE. */
+void interlock_drop(struct controller *c, ticks_t now);
 /* Sets the output. To be called as often as possible. */
 void interlock_poll(struct controller *c, ticks_t now);
 

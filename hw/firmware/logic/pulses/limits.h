@@ -44,4 +44,7 @@
  * holds boards back when the host is gone. */
 #define READY_LONGEST_MS 1000
 
+/* Shortest time for which that output stays low, by which a neighbour tells two boards apart (IPC-SMEMA-9851). */
+#define READY_PAUSE MS(50)
+
 #endif
