@@ -256,7 +256,7 @@ def test_a_board_lowers_it_within_microseconds_and_it_rises_for_the_next_permit(
 
 
 def test_it_stays_low_for_50_ms_at_least(chip: Chip) -> None:
-    """A neighbour by SMEMA takes a shorter opening for none. Here the host withdraws a permit and gives the next one."""
+    """A neighbour by SMEMA takes a shorter opening for none. Here the host withdraws a permit and gives another."""
     line = permitted(chip)
     line.link.permit = None
     line.run(5)
