@@ -18,6 +18,7 @@ from vaoi_station.files import read_board_type, write_board_type
 from vaoi_station.files.directories import make_directories, sync_directory, sync_file
 from vaoi_station.model import BoardType
 
+_MOST_REMEMBERED = 8
 MOST_FILES, MOST_BYTES = 500, 128 * 2**20
 """Limits of the directory: number of files, bytes."""
 LONGEST_FILE_NAME = 250
@@ -61,6 +62,8 @@ class BoardTypeDirectory:
 
     def __init__(self, directory: Path) -> None:
         self.directory, self._versions = directory, directory / FOLDER
+        self._read_last: dict[Path, tuple[tuple[int, int, int], BoardType]] = {}
+        """Board types that were read last, with the state of the file: the next order mostly has one of them."""
 
     def get(self, name: str) -> BoardType:
         """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
@@ -73,7 +76,14 @@ class BoardTypeDirectory:
                 action="Store it (PUT its placement data under board-types), or arm with one of these.",
                 code="unknown-board-type",
             )
-        return self._read(path)
+        status = path.stat()
+        state = status.st_mtime_ns, status.st_size, status.st_ino
+        kept = self._read_last.get(path)
+        if kept is None or kept[0] != state:
+            kept = self._read_last[path] = state, self._read(path)
+            for other in list(self._read_last)[:-_MOST_REMEMBERED]:
+                self._read_last.pop(other, None)
+        return kept[1]
 
     def list(self) -> list[BoardTypeFile]:
         """Return one entry per file, sorted by name. The entry of an unusable file holds the fault."""

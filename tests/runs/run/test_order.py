@@ -133,3 +133,16 @@ def test_a_record_of_another_version_and_a_finished_order_arm_nothing(
     resumed = standing.resume(lambda _: order.board_type, make)
     assert resumed is not None
     assert resumed.fault is not None
+
+
+def test_what_boards_of_one_type_have_in_common_is_made_once(
+    desk: OrderFactory, board_type: BoardType, calibration: Calibration
+) -> None:
+    first, second = desk(board_type, "a", "J1"), desk(board_type, "b", None)
+    assert second.setup is first.setup
+    assert (first.board_id, first.job_id, second.board_id, second.job_id) == ("a", "J1", "b", None)
+    assert desk(board_type.model_copy(), "c", None).setup is not first.setup, "a file that was read again"
+    desk.use_calibration(calibration.model_copy(update={"created": "2026-02-01T00:00:00Z"}))
+    later = desk(board_type, "d", None)
+    assert later.setup is not first.setup
+    assert later.calibration_digest != first.calibration_digest

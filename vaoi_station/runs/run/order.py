@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from vaoi_station.acquisition.controller.filming_plan import filming_plan, line_of_board
 from vaoi_station.acquisition.controller.interface import TriggerPlan
@@ -19,6 +19,8 @@ from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
 from vaoi_station.store import Store
 
+_MOST_MADE = 8
+"""Number of board types whose orders are kept for the next boards."""
 Passing = Literal["wait", "after", "refuse"]
 """What a request to arm does while a board passes: it waits until the board has left; it returns at once and takes
 effect then; it is refused."""
@@ -86,6 +88,14 @@ class Order:
         )
 
 
+class _Made(NamedTuple):
+    """An order for any board of a type, what it was made of beside the type, and the type as it is stored."""
+
+    of: tuple[object, ...]
+    order: Order
+    document: str
+
+
 class OrderFactory:
     """Makes orders. Board types that cannot be stitched on this line are refused here, before a board comes."""
 
@@ -100,6 +110,8 @@ class OrderFactory:
         """Prepare orders; `lights` are those of rows without a light program, in turn; empty if not known."""
         self._config, self._lights = config, lights
         self._store, self._references = store, references
+        self._made: dict[str, _Made] = {}
+        """The latest orders by board type, if it is filmed as before: neighbours wait while one is made."""
         self.use_calibration(calibration)
 
     def use_calibration(self, calibration: Calibration) -> None:
@@ -120,12 +132,27 @@ class OrderFactory:
                 action="Arm another board type, or approve this one again.",
                 code="board-type-retired",
             )
+        method = self._references.method(board_type.name) or self._config.method
+        reference, notes = self._reference(board_type, method)
+        used = reference.run if reference else None
+        made_of = self._calibration_digest, method, used, notes, self._store.configurations.present
+        made = self._made.get(board_type.name)
+        if made is None or made.of != made_of or made.order.board_type is not board_type:
+            order = self._make(board_type, method, reference, notes)
+            made = self._made[board_type.name] = _Made(made_of, order, board_type.model_dump_json())
+            for name in list(self._made)[:-_MOST_MADE]:
+                self._made.pop(name, None)
+        # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
+        digest = self._store.keep_document("board-type", made.document, utc())
+        return replace(made.order, board_id=board_id, job_id=job_id, board_type_digest=digest)
+
+    def _make(
+        self, board_type: BoardType, method: MethodName, reference: StoredReference | None, notes: tuple[Reason, ...]
+    ) -> Order:
         # Files in the directory may be older than this rule, or written by hand.
         refuse_unplaceable(board_type, "board type")
         line = line_of_board(self._config, board_type)
         plan = filming_plan(self._config, board_type, [camera.px_per_mm for camera in self._cameras])
-        method = self._references.method(board_type.name) or self._config.method
-        reference, notes = self._reference(board_type, method)
         setup = StitchSetup(
             cameras=self._cameras,
             conveyor_mm_s=line.conveyor_mm_s,
@@ -142,11 +169,10 @@ class OrderFactory:
         _ = setup.packed
         order = Order(
             board_type=board_type,
-            board_id=board_id,
-            job_id=job_id,
+            board_id=None,
+            job_id=None,
             setup=setup,
-            # Runs refer to their documents by digest, so a later change of the board type does not affect old results.
-            board_type_digest=self._store.keep_document("board-type", board_type.model_dump_json(), utc()),
+            board_type_digest="",
             calibration_digest=self._calibration_digest,
             filmed_digest=board_type.filmed_digest(),
             reference=reference,
