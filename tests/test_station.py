@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -10,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.hermes.station import free_port
+from tests.hermes.test_service import HELLO
+from tests.hermes.test_service import Peer as Neighbour
 from tests.project.test_formats_doc import EXAMPLES
 from tests.runs.peer import Peer
 from vaoi_station.acquisition.process.messages import Ready
@@ -17,7 +21,8 @@ from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import CameraConfig, ReplayConfig, RingConfig, StationConfig
 from vaoi_station.errors import DeviceError, InputError, NotFoundError, StateError
 from vaoi_station.files import write_calibration
-from vaoi_station.line_config import Line
+from vaoi_station.hermes.messages import Message
+from vaoi_station.line_config import Hermes, Line
 from vaoi_station.model import Calibration
 from vaoi_station.runs.control import acquisition_link
 from vaoi_station.runs.host.service import PASSING
@@ -85,6 +90,22 @@ def test_before_the_first_calibration_cameras_are_set_up_and_the_line_is_not_arm
         with pytest.raises(StateError, match="is not calibrated yet") as refused:
             station.coordinator.arm("demo")
     assert refused.value.code == "no-calibration"
+
+
+def test_a_station_lets_the_next_board_come_by_messages_only_while_its_line_may_take_it(config: StationConfig) -> None:
+    above = free_port()
+    hermes = Hermes(upstream=f"127.0.0.1:{above}", listen=f"127.0.0.1:{free_port()}")
+    with socket.create_server(("127.0.0.1", above)) as server:
+        server.settimeout(30)
+        with Station(config.model_copy(update={"hermes": hermes})) as station, server.accept()[0] as connection:
+            peer = Neighbour(connection)
+            peer.next("ServiceDescription")
+            peer.send(HELLO, Message.of("CheckAlive", Type=1, Id="1"))
+            peer.next("CheckAlive")
+            assert station.line is not None
+            until(station, lambda _: station.line is not None and bool(station.line.status().held))
+            assert {reason.code for reason in station.line.status().held} <= {"line-not-armed", "controller-not-ready"}
+            assert station.line.status().neighbours[0].state == "idle"
 
 
 def test_damaged_database_is_set_aside_and_the_station_starts(config: StationConfig) -> None:

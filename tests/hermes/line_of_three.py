@@ -1,8 +1,8 @@
 """A line of three machines in simulated time: `python -m tests.hermes.line_of_three --boards 1000 --seed 1`.
 
-The station's own lane and sessions stand between two machines that revoke, time out, die and come back at random, and
-people take boards off the belt. Every byte goes through framing, cut anywhere. The belt knows which board is which: at
-the next machine each board has the id of its own message, or one that the station made because it knew none.
+The station's own lane, sessions and queue of orders stand between two machines that revoke, time out, die and come back
+at random, and people take boards off the belt. Every byte goes through framing, cut anywhere. The belt knows which
+board is which: at the next machine each has the id of its own message, or one that the station made as it knew none.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from tests.runs.run.test_order_queue import an_order
 from vaoi_station.hermes.framing import Framing
-from vaoi_station.hermes.lane import TRANSFERS, Lane, Side, Transfer
+from vaoi_station.hermes.lane import Lane, Side, Transfer
 from vaoi_station.hermes.messages import Message, read_message
 from vaoi_station.hermes.session import Answer, Role, Session, State
 from vaoi_station.line_config import Hermes
 from vaoi_station.model import Reason
-from vaoi_station.runs.run.order_queue import LineBoard
+from vaoi_station.runs.run.order_queue import LineBoard, OrderQueue
 
 STATION = "station"
 STUCK_S = 2000.0
@@ -143,49 +144,36 @@ class Wire:
             end.take(answer.news)
 
 
-class Windows:
-    """A queue of orders that knows announced boards only, by the window of their transport."""
+class QueuedOrders:
+    """The station's queue of orders in simulated time: every board is of the type with which the line is armed."""
 
     def __init__(self, world: World) -> None:
-        self.world = world
-        self.announced: LineBoard | None = None
-        self.coming: list[tuple[float, LineBoard | None]] = []
-        """Time of StartTransport, and the board; None if it is not certain that it comes."""
-        self.of_run: dict[str, LineBoard | None] = {}
-        self._since_s = 0.0
+        self._world, self._queue, self._armed = world, OrderQueue((SHORTEST_S, LONGEST_S)), an_order()
 
     def by_messages(self, on: bool) -> None:
-        assert on
+        self._queue.listen(on, self._world.now_s)
 
     def announce(self, lane: int, board: LineBoard) -> None:
-        self.announced = board
+        self._queue.announce(lane, board, self._armed, self._world.now_s)
 
     def withdrawn(self, lane: int) -> None:
-        self.announced = None
+        self._queue.withdrawn(lane)
 
     def started(self, lane: int) -> None:
-        self.coming.append((self.world.now_s, self.announced))
+        self._queue.started(lane, self._world.now_s)
 
-    def finished(self, lane: int, transfer: Transfer) -> None:
-        assert transfer in TRANSFERS.values()
-        self.announced = None
-        if transfer == "not-started" and self.coming:
-            self.coming.pop()
-        elif transfer == "incomplete" and self.coming:
-            self.coming[-1] = (self.coming[-1][0], None)
+    def finished(self, lane: int, state: Transfer) -> None:
+        self._queue.finished(lane, state, self._world.now_s)
 
     def may_accept(self, lane: int) -> tuple[Reason, ...]:
-        self.coming = [one for one in self.coming if self.world.now_s - one[0] <= LONGEST_S + 1]
-        return (Reason(code="gap", message="A board is in the gap."),) if self.coming else ()
+        self._queue.expire(self._world.now_s)
+        return self._queue.refusals(lane, self._armed)
 
     def barrier(self, run: str) -> None:
-        now_s = self.world.now_s
-        able = [one for one in self.coming if SHORTEST_S <= now_s - one[0] <= LONGEST_S]
-        self.of_run[run] = able[0][1] if len(able) == 1 and len(self.coming) == 1 else None
-        self.coming = [one for one in self.coming if one not in able]
+        self._queue.take(run, self._world.now_s, self._armed)
 
     def board_of_run(self, run: str) -> LineBoard | None:
-        return self.of_run.get(run)
+        return self._queue.board_of_run(run)
 
 
 class Upstream(End):
@@ -357,7 +345,7 @@ class Line:
         """Boards behind the cameras, the first one first; a board that the next machine took is not there."""
         self.under_way = 0
         self._moved_s = 0.0
-        self.orders = Windows(world)
+        self.orders = QueuedOrders(world)
         ends: dict[Side, End] = {"upstream": OfStation("upstream", self), "downstream": OfStation("downstream", self)}
         config = Hermes(upstream="upstream", listen="127.0.0.1", places=2, transfer_s=20, exit_s=2)
         self.lane = Lane(config, STATION, 100.0, self.orders, lambda side, m: ends[side].send(m), self._publish)

@@ -160,6 +160,10 @@ def test_an_address_that_is_in_use_is_a_warning_and_is_tried_again(
         wait_for(lambda: not station.service.reasons())
 
 
+def test_before_it_runs_there_is_nothing_to_warn_of(tmp_path: Path, port: int) -> None:
+    assert PlayedStation(tmp_path, listen=f"127.0.0.1:{port}").service.reasons() == ()
+
+
 def test_a_neighbour_that_is_away_is_a_warning(tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(service, "LOST_S", 0.0)
     with PlayedStation(tmp_path, listen=f"127.0.0.1:{port}").running() as station:

@@ -211,6 +211,8 @@ class HermesService:
 
     def reasons(self) -> tuple[Reason, ...]:
         """Return warnings: neighbours that are not there, addresses that cannot be used, a board between machines."""
+        if self._loop is None:
+            return ()  # it is not running yet
         now_s = time.monotonic()
         action = "Check machine, cable and the address in [hermes] (docs/line.md); it is tried again by itself."
         lost = (

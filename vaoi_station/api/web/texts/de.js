@@ -1510,7 +1510,7 @@ export const texts = {
     idle: "in Ruhe", "board available": "Baugruppe bereit", "machine ready": "Maschine bereit", "available and ready": "Baugruppe und Maschine bereit",
     transporting: "eine Baugruppe läuft", stopped: "Transport angehalten", finished: "Transport beendet",
   },
-  waitingBoard: ({ board_id, doubtful }) => (doubtful ? `${board_id}: unbekannt, ob die nächste Maschine sie hat` : `${board_id} wartet auf die nächste Maschine`),
+  waitingBoard: ({ board_id, doubtful, values }) => (doubtful ? `${values.TopBarcode ?? board_id}: unbekannt, ob die nächste Maschine sie hat` : `${values.TopBarcode ?? board_id} wartet auf die nächste Maschine`),
   boardIsOut: "Sie ist entnommen",
   reallyOut: "Wirklich entnommen? Nochmals drücken",
   pictureBeingMade: "Das Bild wird gerade erstellt.",

@@ -986,7 +986,7 @@ export const texts = {
     idle: "idle", "board available": "board available", "machine ready": "machine ready", "available and ready": "board available, machine ready",
     transporting: "a board moves", stopped: "transport stopped", finished: "transport finished",
   },
-  waitingBoard: ({ board_id, doubtful }) => (doubtful ? `${board_id}: it is not known whether the next machine has it` : `${board_id} waits for the next machine`),
+  waitingBoard: ({ board_id, doubtful, values }) => (doubtful ? `${values.TopBarcode ?? board_id}: it is not known whether the next machine has it` : `${values.TopBarcode ?? board_id} waits for the next machine`),
   boardIsOut: "It is out",
   reallyOut: "Really out? Press again",
   pictureBeingMade: "The picture is being made.",
