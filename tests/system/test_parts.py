@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 
 from tests.system.conftest import config_of, film_one, until_state
 from vaoi_station.config import ReplayConfig
-from vaoi_station.errors import NotFoundError
+from vaoi_station.errors import GoneError, NotFoundError
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
@@ -32,15 +33,15 @@ def boards(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "good", tmp_path / "bad"
 
 
-def measured(coordinator: StationCoordinator, run: str) -> str:
-    """Wait for the event that the parts of a run are measured, and return its message."""
+def announced(coordinator: StationCoordinator, run: str, kind: str, state: str) -> str:
+    """Wait for an event about a run, and return its message."""
     seen, deadline = 0, time.monotonic() + TIMEOUT_S
     while time.monotonic() < deadline:
         for record in coordinator.events(seen, 1.0):
             seen = record.number
-            if (record.kind, record.run, record.state) == ("parts", run, "measured"):
+            if (record.kind, record.run, record.state) == (kind, run, state):
                 return record.message
-    raise AssertionError(f"the parts of run {run} were not measured")
+    raise AssertionError(f"run {run} has no event {kind} {state}")
 
 
 def test_a_taught_board_type_has_its_parts_measured_after_each_run(
@@ -64,8 +65,10 @@ def test_a_taught_board_type_has_its_parts_measured_after_each_run(
                 assert [b.run for b in taught.boards] == [run.id]
                 assert taught.disagreements == ()
                 good = run.id
+                coordinator.kept.pin(good)
+                announced(coordinator, good, "recording", "")
                 continue
-            message = measured(coordinator, run.id)
+            message = announced(coordinator, run.id, "parts", "measured")
             document = json.loads(coordinator.parts.document(run.id))
             assert document["good_boards"] == [good]
             found[frozenset(absent_in(document))] = message
@@ -74,6 +77,13 @@ def test_a_taught_board_type_has_its_parts_measured_after_each_run(
         assert frozenset(ABSENT) in found
         assert set(found) <= {frozenset(), frozenset(ABSENT)}
         assert all(ref in found[frozenset(ABSENT)] for ref in ABSENT)
+        beside = coordinator.parts.views(run.id, ABSENT[0])
+        assert (beside.good, [view.difference is not None for view in beside.views]) == (good, [True])
+        before = coordinator.parts.good("small")
+        assert coordinator.parts.forget(good).boards == ()
+        with suppress(GoneError):
+            coordinator.release(good)
+        assert coordinator.parts.teach(good) == before, "taught from its recording"
         assert coordinator.parts.forget(good).boards == ()
         with pytest.raises(NotFoundError):
             coordinator.parts.forget(good)
