@@ -71,7 +71,7 @@ def test_a_member_that_cannot_be_unpacked_is_refused(good_boards: tuple[TaughtBo
         ("body_px", [], ""),
         ("body_px", "ab", ""),
         ("body_px", [1, 2, 3], ""),
-        ("body_px", [-5, 3], r"grids\[0\].body_px is -5, must be -1 to"),
+        ("body_px", [-5, 3], r"grids\[0\].body_px is -5, must be 1 to"),
         ("px_per_mm", 0, r"grids\[0\].px_per_mm is 0, must be 0.1 to 10000"),
         ("px_per_mm", float("nan"), r"px_per_mm is nan"),
         ("px_per_mm", -40, r"px_per_mm is -40"),

@@ -134,7 +134,7 @@ def read_taught_board(path: Path) -> TaughtBoard:
                 raise ValueError(f"grids[].parts names {Counter(every).most_common(1)[0][0]!r} twice")
             name, board_type, calibration = (str(head[key]) for key in ("name", "board_type", "calibration"))
             classes = tuple(
-                ViewClass(str(light), _within("classes[].exposure", exposure, 1e-6, 1e12))
+                ViewClass(str(light), _within("classes[].exposure", exposure, 1e-3, 1e9))
                 for light, exposure in head["classes"]
             )
             _within("the number of classes", len(classes), 0, _MOST_CLASSES)
@@ -168,8 +168,7 @@ def _grid(document: Mapping[str, Any], where: str) -> Grid:
     width, height = (int(_within(f"{where}.{key}", document[key], 1, MOST_PX)) for key in ("width", "height"))
     _within(f"{where}: width · height", width * height, 1, 4 * MOST_PX)
     across, along = document["body_px"]
-    # A body of less than a pixel may have lost it to rounding.
-    body = _within(f"{where}.body_px", across, -1, width), _within(f"{where}.body_px", along, -1, height)
+    body = _within(f"{where}.body_px", across, 1, width), _within(f"{where}.body_px", along, 1, height)
     return Grid(
         str(document["name"]), width, height, _within(f"{where}.px_per_mm", document["px_per_mm"], 0.1, 1e4), body
     )

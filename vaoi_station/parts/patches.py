@@ -252,7 +252,9 @@ def _grids(names: Sequence[str], table: ViewTable, strips_px: float, classes: in
         width, height = max(round(w * scale), 4), max(round(h * scale), 4)
         factor = width / w
         strip = strips_px * factor
-        found[name] = Grid(name, width, height, px_per_mm * factor, (width - strip, height - strip))
+        # Of less than a pixel, nothing could be compared.
+        body = max(width - strip, 1.0), max(height - strip, 1.0)
+        found[name] = Grid(name, width, height, px_per_mm * factor, body)
     order = {name: n for n, name in enumerate(found)}
     return tuple(found.values()), np.array([order[name] for name in names], np.int_)
 

@@ -173,6 +173,17 @@ def test_a_board_is_taught_and_measured_from_its_recording(client: Any, station:
     assert client.get(f"{RUNS}/{run}/parts/U1").json()["views"] == in_memory["views"]
 
 
+def test_a_good_board_of_another_type_is_left_out_and_said(client: Any, station: Any) -> None:
+    first, second = station.film(), station.film()
+    client.put(f"{RUNS}/{first}/good")
+    now = station.types["demo-board"]
+    larger = tuple(c.model_copy(update={"width": 2 * c.width}) for c in now.components)
+    station.types["demo-board"] = now.model_copy(update={"components": larger})
+    found = client.get(f"{RUNS}/{second}/parts").json()
+    assert (found["good_boards"], found["remark_codes"]) == ([], ["good-board-of-other-type"])
+    assert found["remarks"][0].startswith(f"{first}: most parts are not those of this board type")
+
+
 def test_parts_are_compared_with_boards_that_were_taught_as_good_until_these_are_removed(
     client: Any, station: Any
 ) -> None:
