@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,9 @@ def test_nothing_is_demanded_of_a_board_that_is_crossed_out(panel: Filmed) -> No
     tested = [m for m in others if m["panel"] != "2"]
     result = panel.stitched(board_type=BoardType.model_validate(asked | {"other_marks": tested}))
     assert {"board-unplaced", "positions-uncertain", "components-unseen"} == set(result.reason_codes)
+    ordered = replace(panel.setup.expectation, skipped=("2",))
+    result = panel.stitched(board_type=BoardType.model_validate(asked | {"other_marks": tested}), expectation=ordered)
+    assert (result.status, result.skipped_boards) == (Status.OK, ("2",)), "its order says that it is not to be tested"
 
 
 def test_views_and_component_images_follow_the_board(panel: Filmed) -> None:

@@ -68,15 +68,16 @@ class BoardTypeDirectory:
     def get(self, name: str) -> BoardType:
         """Read one board type; raise `NotFoundError` with the known names if it does not exist."""
         path = self.path_of(name)
-        if not path.is_file():
+        try:
+            status = path.stat()
+        except FileNotFoundError as absent:
             # The names come from the names of the files: reading many files takes seconds.
             known = _enumeration([unquote(path.stem) for path in self.paths()]) or "none yet"
             raise NotFoundError(
                 f"There is no board type {name!r}; known board types: {known}.",
                 action="Store it (PUT its placement data under board-types), or arm with one of these.",
                 code="unknown-board-type",
-            )
-        status = path.stat()
+            ) from absent
         state = status.st_mtime_ns, status.st_size, status.st_ino
         kept = self._read_last.get(path)
         if kept is None or kept[0] != state:

@@ -6,8 +6,11 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import pytest
+
 from tests.runs.peer import PATIENCE_S
 from vaoi_station.acquisition.process import messages
+from vaoi_station.errors import StateError
 from vaoi_station.files import write_board_type
 from vaoi_station.model import BoardType
 from vaoi_station.model.board_identity import IdentityDocument
@@ -150,7 +153,9 @@ def test_an_order_whose_board_type_is_gone_is_lost_with_a_message(rig: Any) -> N
     rig.coordinator._core.line._standing = StandingOrder(store)
     post(rig, "b1")
     rig.store.database.write(lambda _: None).result(10)
-    rig.coordinator.delete_board_type("small")
+    with pytest.raises(StateError, match="orders for it wait"):
+        rig.coordinator.delete_board_type("small")
+    (rig.config.board_types / "small.json").unlink()
     resumed = StandingOrder(store).resume(rig.coordinator.board_type, rig.coordinator._make_order)
     assert resumed is not None
     [lost] = resumed.lost

@@ -100,21 +100,21 @@ class BoardTypeRequests:
         refuse_unplaceable(board_type, "body")
         with self._changing:
             new = self._directory.put(board_type)
-        armed = self._inbox.ask(self._core.line.orders.shown)
-        # An armed line keeps the board type it was armed with: the CAD data must not change within a batch.
-        later = " The change applies from the next arming on." if armed and armed.board_type == board_type.name else ""
+        ordered = self._inbox.ask(lambda: self._core.line.orders.board_types)
+        # Orders keep the board type with which they were given: the CAD data must not change within a batch.
+        later = " The change applies from the next arming on." if board_type.name in ordered else ""
         action = "added" if new else "replaced"
         self._parts.events.add("board-type", f"Board type {board_type.name!r} was {action}{source}.{later}")
         return new
 
     def delete_board_type(self, name: str) -> None:
-        """Delete a board type with its reference and method; `StateError` while the line is armed with it.
+        """Delete a board type with its reference and method; `StateError` while it is armed or ordered.
 
         Its good boards come back with it, if it is restored.
         """
-        armed = self._inbox.ask(self._core.line.orders.shown)
-        if armed is not None and armed.board_type == name:
-            raise StateError(f"The line is armed for board type {name!r}.", action="Disarm first.")
+        if name in self._inbox.ask(lambda: self._core.line.orders.board_types):
+            message = f"The line is armed for board type {name!r}, or orders for it wait."
+            raise StateError(message, action="Disarm first, or withdraw these orders.")
         with self._changing:
             self._directory.delete(name)
             self._references.drop(name)

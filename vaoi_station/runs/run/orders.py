@@ -168,6 +168,12 @@ class Orders:
         return {order.reference.run for order in every if order and order.reference}
 
     @property
+    def board_types(self) -> set[str]:
+        """Names of the board types that the line was armed with, or for which orders wait."""
+        every = [self.order, *(queued.order for queued in self.queue.kept)]
+        return {order.board_type.name for order in every if order is not None}
+
+    @property
     def wants_more(self) -> bool:
         """Whether another board is to be filmed."""
         return self.next is not None
