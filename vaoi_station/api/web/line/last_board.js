@@ -17,7 +17,7 @@ const PART = `
   <p id="board-order"></p>
   <p id="unseen"></p>
 </div>
-<div id="actions"><div id="decisions"></div><a id="open-board" class="button" data-text="open" hidden></a></div>`;
+<div id="actions"><div id="decisions"></div><a id="open-board" class="button" hidden></a></div>`;
 
 export class LastBoard extends View {
   #decisions;
@@ -66,6 +66,7 @@ export class LastBoard extends View {
     setText(this.part("unseen"), remarks.filter(Boolean).join(" · "));
     this.part("open-board").href = `#/board/${encodeURIComponent(run.id)}`;
     this.part("open-board").hidden = false;
+    setText(this.part("open-board"), verdict === "failed" ? texts.openFailed : texts.open);
     this.tick(now_ms);
     this.#seen = seen;
     if (changed) this.#showPicture(run); // not awaited: the state must not wait for a picture

@@ -1495,6 +1495,7 @@ export const texts = {
   reason: "Grund",
   cancel: "Abbrechen",
   open: "Alle Bilder",
+  openFailed: "Warum, und Einzelbilder",
   noMosaic: "Kein Bild",
   lastMeasures: "Messwerte der letzten Baugruppe",
   nextOrders: "Nächste Aufträge",

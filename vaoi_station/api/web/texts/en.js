@@ -971,6 +971,7 @@ export const texts = {
   reason: "Reason",
   cancel: "Cancel",
   open: "All pictures",
+  openFailed: "Why, and its frames",
   noMosaic: "No picture",
   lastMeasures: "Measures of the last board",
   nextOrders: "Next orders",
