@@ -45,6 +45,7 @@ from vaoi_station.runs.states.schemas import (
     CameraCalibration,
     CameraDrift,
     CameraMoment,
+    CameraPtpStatus,
     CameraRecoveryStatus,
     CameraStatus,
     ComponentSummary,
@@ -91,6 +92,7 @@ class HeldStation(StationCoordinator):
         self.reasons, self.warnings, self.held_back = [tuple[Reason, ...]()] * 3
         self.lost: tuple[int, ...] = ()
         self.recovering: dict[int, CameraRecoveryStatus] = {}
+        self.ptp: dict[int, CameraPtpStatus] = {}
         self.balances_colours = False
         self.despite_lost = False  # whether the order accepts boards without lost cameras
         self.next_try: str | None = None
@@ -176,6 +178,7 @@ class HeldStation(StationCoordinator):
                 name=f"cam{i}",
                 connected=i not in self.lost,
                 recovery=self.recovering.get(i),
+                ptp=self.ptp.get(i),
                 lost_since=NOW if i in self.lost else None,
                 address=f"10.1.0.{i}",
                 link="switch A",

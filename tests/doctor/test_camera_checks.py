@@ -48,6 +48,7 @@ def configured(**fields: Any) -> CameraConfig:
         ({"pixel_format": "Mono16"}, "has no pixel format Mono16; it has Mono8, Mono12"),
         ({"exposure_by": "trigger-width"}, "for the width of the trigger, as exposure_by states: it has none."),
         ({"exposure_by": "sequencer"}, "has no sequencer, as exposure_by states: SequencerMode missing."),
+        ({"ptp": True}, "has no PTP, as ptp = true states."),
         ({"exposure_us": 5.0}, "cannot expose for 5 µs; its range is 10 … 1e+06 µs"),
         (
             {"width": 2000, "offset_px": (100, 0)},

@@ -16,7 +16,7 @@ from vaoi_station.api.routes.doctor import Examination, Examinations
 from vaoi_station.config import KeepConfig
 from vaoi_station.doctor import Machine, Report, camera_checks, controller_checks, machine_checks, storage_checks
 from vaoi_station.doctor.finding import fault, warning
-from vaoi_station.runs.states.schemas import CameraRecoveryStatus
+from vaoi_station.runs.states.schemas import CameraPtpStatus, CameraRecoveryStatus
 
 pytestmark = pytest.mark.browser
 PICTURES = os.environ.get("VAOI_PICTURES")
@@ -53,11 +53,17 @@ def test_each_camera_has_a_card_that_follows_its_frames(
         expect(card.locator("dl")).to_contain_text("Mbit/s")
     expect(cards.nth(1).locator("dl")).to_contain_text("moved by 9.40 px")
     served.station.recovering[0] = CameraRecoveryStatus(step="reset", why="silent", at="2026-01-01T12:00:00Z")
+    served.station.ptp |= {
+        0: CameraPtpStatus(state="Slave", synchronised=True, offset_ns=-240, apart_us=3200.0),
+        1: CameraPtpStatus(state="Listening", synchronised=False),
+    }
     served.station.lose(2)
     expect(cards.nth(0).locator(".camera-state")).to_have_text("connected, sends nothing")
     expect(cards.nth(0).locator(".camera-remarks")).to_contain_text(
         re.compile("sent nothing of a board that other cameras filmed.*it was reset. The next board shows whether")
     )
+    expect(cards.nth(0).locator("dl")).to_contain_text("Slave, -0.2 µs from its master, 3.2 ms from the other cameras")
+    expect(cards.nth(1).locator("dl")).to_contain_text("no master (Listening)")
     expect(cards.nth(2).locator(".camera-state")).to_have_text("not connected")
     expect(page.locator("#doctor-answer")).to_contain_text("Not examined yet.")
     page.get_by_role("button", name="Examine the station").press("Enter")

@@ -23,6 +23,15 @@ const PART = `
   <ul id="doctor-findings"></ul>
 </section>`;
 
+function ptpWords({ state, synchronised, offset_ns, apart_us }) {
+  const words = texts.cameras.ptp;
+  return [
+    synchronised ? state : words.noMaster(state),
+    ...(offset_ns == null ? [] : [words.offset(number(offset_ns / 1000, 1))]),
+    ...(apart_us ? [words.apart(number(apart_us / 1000, 1))] : []),
+  ].join(", ");
+}
+
 class Card {
   #shown = "";
 
@@ -63,7 +72,7 @@ class Card {
     const facts = [
       ...(camera.serial ? [[words.serial, `${camera.serial} ${camera.model}`.trim()]] : []),
       ...(camera.temperature_c == null ? [] : [[words.temperature, `${number(camera.temperature_c, 1)} °C`]]),
-      ...(camera.ptp ? [[words.ptp, texts.cameras.ptp(camera.ptp)]] : []),
+      ...(camera.ptp ? [[words.ptp, ptpWords(camera.ptp)]] : []),
       [words.delivered, number(camera.delivered)],
       [words.incomplete, number(camera.incomplete)],
       ...counters.map(([name, value]) => [name, number(value)]),

@@ -222,9 +222,7 @@ const cameras = {
   tooBright: (share) => `Zu hell: ${share} der Pixel sind gesättigt (Grenze 0,5 %).`,
   tooDark: (share) => `Dunkel: 99 % der Pixel liegen unter ${share} (mindestens 35 %).`,
   soft: (n) => `Unscharf in ${n} von 9 Teilen: Objektiv scharf stellen; ist nur eine Seite unscharf, steht die Kamera schief.`,
-  ptp: ({ state, synchronised, offset_ns, apart_us }) => [
-    synchronised ? state : `kein Master (${state || "Zustand unbekannt"})`, offset_ns == null ? "" : `${number(offset_ns / 1000, 1)} µs zu ihrem Master`, apart_us ? `${number(apart_us / 1000, 1)} ms zu den anderen Kameras` : "",
-  ].filter(Boolean).join(", "),
+  ptp: { noMaster: (state) => `kein Master (${state || "Zustand unbekannt"})`, offset: (us) => `${us} µs zu ihrem Master`, apart: (ms) => `${ms} ms zu den anderen Kameras` },
   facts: {
     serial: "Kamera", temperature: "Temperatur", ptp: "Uhr über PTP", delivered: "Bilder geliefert", incomplete: "Bilder unvollständig", link: "Datenrate, letzte Baugruppe", drift: "Lage",
     exposure: "Belichtung", gain: "Verstärkung", light: "Licht",

@@ -231,9 +231,7 @@ const cameras = {
   tooBright: (share) => `Too bright: ${share} of the pixels are saturated (limit 0.5 %).`,
   tooDark: (share) => `Dark: 99 % of the pixels are below ${share} (at least 35 %).`,
   soft: (n) => `Not sharp in ${n} of 9 parts: focus the lens; if only one side is soft, the camera is tilted.`,
-  ptp: ({ state, synchronised, offset_ns, apart_us }) => [
-    synchronised ? state : `no master (${state || "state not stated"})`, offset_ns == null ? "" : `${number(offset_ns / 1000, 1)} µs from its master`, apart_us ? `${number(apart_us / 1000, 1)} ms from the other cameras` : "",
-  ].filter(Boolean).join(", "),
+  ptp: { noMaster: (state) => `no master (${state || "state not stated"})`, offset: (us) => `${us} µs from its master`, apart: (ms) => `${ms} ms from the other cameras` },
   facts: {
     serial: "Camera", temperature: "Temperature", ptp: "Clock by PTP", delivered: "Frames delivered", incomplete: "Frames incomplete", link: "Link, last board", drift: "Position",
     exposure: "Exposure", gain: "Gain", light: "Light",

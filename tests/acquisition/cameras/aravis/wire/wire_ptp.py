@@ -130,9 +130,17 @@ def test_without_a_master_it_films_with_its_own_clock_and_a_late_master_costs_no
         assert seen.ptp is not None
         assert (seen.connected, seen.ptp.state, seen.ptp.synchronised) == (True, "Listening", False)
         camera.faults.ptp_ends_in = "Slave"
+        monkeypatch.undo()
         health(line, lambda report: bool(report.cameras[0].ptp and report.cameras[0].ptp.synchronised))
         assert line.proven(line.film(rows=3)) == 3
         assert line.bench.of(Trouble) == []
+        camera.plug()  # its power was away: its clock begins at zero, and is set once more before it counts as back
+        health(line, lambda report: not report.cameras[0].connected)
+        back = health(line, lambda report: report.cameras[0].connected).cameras[0].ptp
+        assert back is not None
+        assert back.synchronised
+        assert line.proven(line.film(rows=3)) == 3
+        assert {trouble.code for trouble in line.bench.of(Trouble)} == {"camera-lost"}
     finally:
         line.close()
 
