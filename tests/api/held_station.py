@@ -33,7 +33,7 @@ from vaoi_station.rendering import (
     render_chosen,
 )
 from vaoi_station.runs.archive.component_views import filmed_board
-from vaoi_station.runs.archive.finished_runs import RunFigures
+from vaoi_station.runs.archive.finished_runs import FinishedRun, RunFigures
 from vaoi_station.runs.control.coordinator import StationCoordinator
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.run_ids import utc
@@ -363,6 +363,10 @@ class HeldStation(StationCoordinator):
 
     def stitch_text(self, run: str) -> str:
         return stitch_text(self.stitch(run))
+
+    def finished(self, run: str) -> FinishedRun:
+        found: FinishedRun = self.mosaics._archive.get(run)
+        return found
 
     def clamped(self, run: str, request: ClampedRequest) -> Clamped:
         return clamp(filmed_board(self.mosaics._archive.explained(run), self.heights.known(run)), request)

@@ -112,6 +112,7 @@ def test_replies_match_their_schemas(
     client.post("/api/v1/cameras/0/trial", json={})
     client.post("/api/v1/station/arm?board_type=demo-board&board_id=B1")
     values = {"run": station.film(board_id="B1"), "camera": 0, "row": 0, "ref": "U1", "k": 0, "name": "demo-board"}
+    values["board_id"] = "B1"
     values |= {"picture": "board", "level": 9, "column": 0, "suffix": "jpg", "region": "full", "size": "240,160"}
     values |= {"view": 0, "what": "part"}
     station.teach_reference("demo-board", values["run"])

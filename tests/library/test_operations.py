@@ -143,6 +143,7 @@ def _calls(station: vaoi.Station, folder: Path) -> dict[type, dict[str, Callable
         "disarm": lambda s: s.disarm(),
         "events": lambda s: list(s.events(0)),
         "runs": lambda s: s.runs(1, verdict="ok"),
+        "board": lambda s: s.board("SN-1"),
         "counts": lambda s: s.counts(),
         "calibration": lambda s: s.calibration(),
         "run": lambda s: (s.run(), s.run("r1")),

@@ -18,6 +18,7 @@ from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
     board_data,
     board_types,
+    boards,
     cameras,
     doctor,
     events,
@@ -98,7 +99,7 @@ def create_app(
     problems.install(app)
     # First, because routes are tried in order, and a browser asks for dozens of files of a page at once.
     pages.install(app)
-    nouns = (station, orders, neighbours, board_types, runs, trends, pictures, batch, mosaics, events)
+    nouns = (station, orders, neighbours, board_types, boards, runs, trends, pictures, batch, mosaics, events)
     routers = [noun.router(services) for noun in nouns]
     camera_trials = CameraTrials(services.coordinator)
     routers += [

@@ -152,6 +152,7 @@ class AsyncStation(_InThreads[Station]):
     disarm = in_thread(Station.disarm)
     runs = in_thread(Station.runs)
     counts = in_thread(Station.counts)
+    board = in_thread(Station.board)
     calibration = in_thread(Station.calibration)
     upload_board_data = in_thread(Station.upload_board_data)
 

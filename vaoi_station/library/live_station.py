@@ -50,6 +50,7 @@ from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
+from vaoi_station.runs.board_sides import BoardDocument, join_sides
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import (
     BoardTypeSummary,
@@ -649,6 +650,26 @@ class Station:
                 break
             query["before"] = page.next
         return found
+
+    def board(self, board_id: str, *others: Station, within_s: float = 3600.0) -> BoardDocument:
+        """Return a board with its runs of top and bottom; `others` are stations that film the other side.
+
+        Programs with asyncio give the `blocking` of these.
+
+        NotFoundError: no run of any of them shows a board with this id.
+        """
+        path, sides, missing = f"/boards/{quote(require_text('board', 'board_id', board_id), safe='')}", [], None
+        for station in (self, *others):
+            try:
+                found = station._client.read(BoardDocument, path, within=within_s)
+            except NotFoundError as error:
+                missing = error
+                continue
+            known = (side for side in (found.top, found.bottom) if side is not None)
+            sides += [side.model_copy(update={"address": station._client.url(side.address)}) for side in known]
+        if missing is not None and not sides:
+            raise missing
+        return join_sides(board_id, sides, within_s)
 
     def counts(self, since: str | datetime | None = None) -> RunCounts:
         """Return the numbers of boards by verdict, and of missed ones, since a time; by default since midnight."""

@@ -25,7 +25,7 @@ from vaoi_station.model import Calibration, FrameRecord, Reason, Stitch
 from vaoi_station.rendering import ChosenImages, ImageRequest
 from vaoi_station.runs.archive import component_views
 from vaoi_station.runs.archive.board_type_history import BoardTypeHistory
-from vaoi_station.runs.archive.finished_runs import RunFigures
+from vaoi_station.runs.archive.finished_runs import FinishedRun, RunFigures
 from vaoi_station.runs.archive.measured_heights import MeasuredHeights
 from vaoi_station.runs.archive.measured_parts import DIRECTORY as GOOD_BOARDS
 from vaoi_station.runs.archive.measured_parts import MeasuredParts
@@ -372,6 +372,10 @@ class StationCoordinator(BoardTypeRequests):
         for reason in answer.reasons:
             _log.warning("hand-over of run %s is %s: %s", run, answer.status, reason.message)
         return answer
+
+    def finished(self, run: str) -> FinishedRun:
+        """Return the complete record of a run that has ended."""
+        return self._parts.archive.get(run)
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
         """Return the components of the run's board type, with their positions in tester coordinates."""

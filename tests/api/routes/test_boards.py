@@ -1,0 +1,49 @@
+"""A board by its id, over REST and in Python, of one station and of two."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import vaoi_station as vaoi
+from tests.api.conftest import Served
+from tests.api.held_station import HeldStation
+
+BOARDS = "/api/v1/boards"
+
+
+def turned_over() -> HeldStation:
+    """Return a station that films the bottom."""
+    station = HeldStation()
+    station.types["demo-board"] = station.types["demo-board"].model_copy(update={"side": "bottom"})
+    return station
+
+
+def test_one_side_is_not_the_whole_board(client: Any, station: Any) -> None:
+    run = station.film(board_id="SN/1")
+    found = client.get(f"{BOARDS}/SN%2F1").json()
+    assert (found["status"], [r["code"] for r in found["reasons"]]) == ("degraded", ["side-missing"])
+    assert client.get(found["top"]["address"]).json()["id"] == run
+    assert found["top"]["components"] == 3
+    refused = client.get(f"{BOARDS}/SN-2")
+    assert (refused.status_code, refused.json()["code"]) == (404, "unknown-board")
+    assert client.get(f"{BOARDS}/SN-1?within=0").status_code == 422
+
+
+def test_two_stations_show_one_board() -> None:
+    upper, lower = HeldStation(), turned_over()
+    for station in (upper, lower):
+        station.film(board_id="SN-1")
+    first, second = Served(upper), Served(lower)
+    try:
+        found = vaoi.connect(first.url).board("SN-1", vaoi.connect(second.url))
+        with pytest.raises(vaoi.NotFoundError):
+            vaoi.connect(first.url).board("SN-9", vaoi.connect(second.url))
+    finally:
+        first.stop()
+        second.stop()
+    assert found.top is not None
+    assert found.bottom is not None
+    assert found.bottom.address.startswith(second.url)
+    assert "side-missing" not in [reason.code for reason in found.reasons]
