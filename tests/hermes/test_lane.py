@@ -199,7 +199,7 @@ def test_a_board_that_does_not_come_is_given_up_after_its_time(played: Played) -
     assert played.sent["upstream"][-1] == Message.of("StopTransport", TransferState=INCOMPLETE, BoardId="b1")
     assert played.events == ["board-late"]
     played.take("upstream", "TransportFinished", TransferState=NOT_STARTED, BoardId="b1")
-    assert played.orders.calls[-1] == "finished not-started"
+    assert played.orders.calls[-2:] == ["finished not-started", "withdrawn"]
 
 
 def test_no_board_comes_while_the_places_behind_the_cameras_are_taken() -> None:
@@ -230,3 +230,48 @@ def test_the_next_machine_may_ask_for_a_board_by_its_code(played: Played) -> Non
     assert played.sent["downstream"][-1].get("BoardId") == "b1"
     played.take("downstream", "QueryBoardInfo", TopBarcode="none")
     assert played.sent["downstream"][-1] == Message.of("SendBoardInfo", TopBarcode="none")
+
+
+def test_an_id_that_two_boards_have_is_passed_on_with_the_first_only() -> None:
+    played = Played(places=3)
+    for side in ROLES:
+        played.connect(side)
+    for run in ("run-1", "run-2"):
+        played.comes_in("b1")
+        played.film(run)
+    first, second = played.lane.waiting
+    assert (first.board_id, first.announced) == ("b1", True)
+    assert second.board_id != "b1"
+    assert not second.announced
+    assert played.events == ["board-id-twice"]
+
+
+def test_a_stop_that_crossed_a_revocation_takes_no_other_board(played: Played) -> None:
+    """A person took the first board out; the next machine started it in the same moment, and says that it has it."""
+    played.connect("downstream")
+    played.film("run-1")
+    played.film("run-2")
+    first, second = played.lane.waiting
+    played.take("downstream", "MachineReady", FailedBoard=0)
+    played.lane.sessions["downstream"].sent(Message.of("RevokeBoardAvailable"))
+    played.lane.waiting.popleft()
+    played.take("downstream", "StartTransport", BoardId=first.board_id)
+    played.take("downstream", "StopTransport", BoardId=first.board_id, TransferState=COMPLETE)
+    assert list(played.lane.waiting) == [second]
+
+
+def test_boards_that_leave_without_the_next_machine_are_forgotten_after_a_time(played: Played) -> None:
+    for n in range(22):
+        played.film(f"run-{n}")
+    assert len(played.lane.waiting) == 20
+    assert played.events == ["boards-wait"] * 2
+
+
+def test_a_neighbour_is_not_asked_anew_for_what_only_informs(played: Played) -> None:
+    played.connect("downstream")
+    played.orders.calls.clear()
+    played.orders.held = (BUSY,)
+    played.take("downstream", "Notification", NotificationCode=0, Severity=2, Description="door open")
+    played.take("downstream", "Command", Command=1)
+    assert played.lane.held == ()
+    assert played.events == ["neighbour-says"] * 2

@@ -104,6 +104,15 @@ def test_what_is_no_message_ends_the_connection_and_the_next_one_works(
         again.next("CheckAlive")
 
 
+def test_a_flood_of_messages_ends_the_connection(station: PlayedStation, port: int) -> None:
+    with downstream(station, port) as peer:
+        with suppress(OSError):
+            peer.send(*[Message.of("CheckAlive")] * 20_000)
+        assert peer.ends()
+    shown = station.service.status().messages
+    assert any("more than 500 messages" in message.fault for message in shown)
+
+
 def test_clocks_years_apart_are_shown_and_change_nothing(station: PlayedStation, port: int) -> None:
     with downstream(station, port) as peer:
         for stamp in ("1970-01-01T00:00:00.000", "9999-12-31T23:59:59.999", "yesterday", ""):

@@ -35,6 +35,8 @@ FAILED: Mapping[str, Literal["unknown", "good", "bad"]] = {"0": "unknown", "1": 
 SIDES: Mapping[str, Literal["top", "bottom"]] = {"1": "top", "2": "bottom"}
 _OWN_IDS = uuid.UUID("6f0c2c1e-0a57-5d0b-9c55-2a3a4b0f9852")
 """Namespace of the ids that stations make for boards without one."""
+MOST_WAITING = 20
+"""Most boards that can stand behind the cameras, as `hermes.places` has it."""
 TRANSFERRED, INSERTED, REMOVED = 1, 3, 3
 """How a board arrived or departed, for the supervisory system."""
 _SAY_OUT = "Take the board out if it stands behind the cameras, then say on the page that it is out."
@@ -115,7 +117,8 @@ class Lane:
     config: Hermes
     machine: str
     """Name of the station in messages."""
-    speed_mm_s: float
+    speed_mm_s: float | None
+    """Speed of the belt for all boards; None: it depends on the board type."""
     orders: LineOrders
     send: Callable[[Side, Message], object]
     publish: Callable[..., Any]
@@ -192,6 +195,14 @@ class Lane:
                 self._started_s["downstream"] = now_s
             case "StopTransport":
                 self._taken(message)
+            case _:
+                self._informed(side, message)
+                return
+        self.decide(now_s)
+
+    def _informed(self, side: Side, message: Message) -> None:
+        """Act on a message on which no transfer depends."""
+        match message.tag:
             case "QueryBoardInfo":
                 self._tell(side, message)
             case "Notification":
@@ -202,7 +213,6 @@ class Lane:
             case "Command":
                 text = f"The {side} machine sends command {message.get('Command')}, which the station does not obey."
                 self.publish("line", text, code="neighbour-says")
-        self.decide(now_s)
 
     def _arrived(self, finished: Message) -> None:
         """Answer the end of a transfer from upstream."""
@@ -213,13 +223,9 @@ class Lane:
         if session.may_send("StopTransport"):
             self.send("upstream", Message.of("StopTransport", TransferState=state, BoardId=board))
         if state == COMPLETE and self._offered is not None:
-            values = self._offered.board()
-            more: dict[str, str | int] = {
-                "MachineId": self.machine,
-                "UpstreamLaneId": self.config.lane,
-                "BoardTransfer": TRANSFERRED,
-            }
-            self.supervise(Message.of("BoardArrived", self._offered.parts, **{**values, **more}))
+            self._track("BoardArrived", self._offered.board(), self._offered.parts, TRANSFERRED)
+        elif state == NOT_STARTED:
+            self.orders.withdrawn(self.config.lane)  # the machine offers it again, or does not
         elif state == INCOMPLETE:
             self._doubt("upstream", f"Board {board} did not come in completely: it stands between the machines.")
         self._offered = None
@@ -230,10 +236,12 @@ class Lane:
         self._started_s.pop("downstream", None)
         if session.may_send("TransportFinished"):
             self.send("downstream", Message.of("TransportFinished", TransferState=state, BoardId=stop.get("BoardId")))
-        if state == COMPLETE and self.waiting:
+        # After a revocation that crossed StartTransport, the first board is another one.
+        is_first = bool(self.waiting) and self.waiting[0].board_id == stop.get("BoardId")
+        if state == COMPLETE and is_first:
             self._depart(self.waiting.popleft(), TRANSFERRED)
-        elif state == INCOMPLETE:
-            board = stop.get("BoardId")
+        elif state == INCOMPLETE and is_first:
+            board = self.waiting[0].board_id
             self._doubt("downstream", f"Board {board} did not leave completely: it stands between the machines.")
         # A board that was not started is still here: it is offered again.
 
@@ -258,20 +266,25 @@ class Lane:
         self.passing.discard(run or "")
         board = self._board_of(run)
         if not board.announced:
-            more: dict[str, str | int] = {
-                "MachineId": self.machine,
-                "UpstreamLaneId": self.config.lane,
-                "BoardTransfer": INSERTED,
-            }
-            self.supervise(board.message("BoardArrived", **more))
+            self._track("BoardArrived", board.values, board.parts, INSERTED)
         if self.passes_on:
             self.waiting.append(board)
+        if len(self.waiting) > MOST_WAITING:
+            board = self.waiting.popleft()
+            text = f"Board {board.board_id} is forgotten: {MOST_WAITING} others wait for the next machine."
+            action = "If boards leave without it, take hermes.listen out of station.toml; else see why it takes none."
+            self.publish("trouble", text, code="boards-wait", action=action)
         self.decide(now_s)
 
     def _board_of(self, run: str | None) -> Inside:
         """Return what is known of the board of a run; a board whose id is not certain gets one of this station."""
         known = self.orders.board_of_run(run) if run is not None else None
-        if known is not None and isinstance(known.details, Message):
+        if known is not None and any(board.board_id == known.board_id for board in self.waiting):
+            text = f"Two boards came as {known.board_id}: the second passes on with an id of the station."
+            self.publish(
+                "trouble", text, code="board-id-twice", action="Identify both boards; check the machine upstream."
+            )
+        elif known is not None and isinstance(known.details, Message):
             return Inside(known.board_id, known.details.board(), known.details.parts, run, announced=True)
         own = str(uuid.uuid5(_OWN_IDS, f"{self.machine}/{run}") if run is not None else uuid.uuid4())
         values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": "0", "FlippedBoard": "0"}
@@ -292,12 +305,13 @@ class Lane:
         return True
 
     def _depart(self, board: Inside, how: int) -> None:
-        more: dict[str, str | int] = {
-            "MachineId": self.machine,
-            "DownstreamLaneId": self.config.lane,
-            "BoardTransfer": how,
-        }
-        self.supervise(board.message("BoardDeparted", **more))
+        self._track("BoardDeparted", board.values, board.parts, how)
+
+    def _track(self, tag: str, board: Mapping[str, str], parts: Parts, how: int) -> None:
+        """Tell the supervisory system of a board."""
+        lane = "UpstreamLaneId" if tag == "BoardArrived" else "DownstreamLaneId"
+        more: dict[str, str | int] = {"MachineId": self.machine, lane: self.config.lane, "BoardTransfer": how}
+        self.supervise(Message.of(tag, parts, **{**board, **more}))
 
     # --- decisions
 
@@ -344,7 +358,8 @@ class Lane:
         if session.state is State.BOTH:
             self.orders.started(self.config.lane)
             self._started_s["upstream"] = now_s
-            start = Message.of("StartTransport", BoardId=session.board, ConveyorSpeed=f"{self.speed_mm_s:g}")
+            speed = None if self.speed_mm_s is None else f"{self.speed_mm_s:g}"
+            start = Message.of("StartTransport", BoardId=session.board, ConveyorSpeed=speed)
             self.send("upstream", start)
 
     def _decide_downstream(self, now_s: float) -> None:

@@ -58,7 +58,8 @@ MOST_UNSENT = 1 << 20
 """Bytes that wait for a neighbour that does not read; beyond it the connection is ended."""
 YIELD_S = 0.05
 """Time that a connection has to leave the lane to the next one, s."""
-MOST_SUPERVISORS = 4
+MOST_MESSAGES, MOST_SUPERVISORS = 500, 4
+"""Messages of a neighbour within one tick, beyond which it is refused; supervisory systems at a time."""
 KEPT_MESSAGES = 40
 """Number of the latest messages that the page shows."""
 STOP_S, REFUSED_S = 3.0, 1.0
@@ -159,6 +160,8 @@ class _Link:
         self.end = ""
         """Why the station ends the connection; empty while it does not."""
         self.clock_off_s: float | None = None
+        self.taken = 0
+        """Number of messages since the latest tick."""
         _tune(writer)
 
 
@@ -197,7 +200,8 @@ class HermesService:
     @contextmanager
     def running(self, watch: Callable[[SupervisedThread], object], orders: LineOrders) -> Iterator[None]:
         """Talk to the neighbours during a `with` block; `watch` supervises the thread."""
-        speed_mm_s, self._orders = self._station.line.speed_mm_s, orders
+        line, self._orders = self._station.line, orders
+        speed_mm_s = line.speed_mm_s if line.speed_limits_mm_s is None else None
         self._lane = Lane(self._config, self._machine, speed_mm_s, orders, self._send, self._publish, self._supervise)
         self._listening = Listening(self._config, orders, self._note, self._publish)
         self.thread.start()
@@ -297,6 +301,7 @@ class HermesService:
     def _tick(self) -> None:
         now_s = time.monotonic()
         for link in tuple(self._links.values()):
+            link.taken = 0
             self._apply(link, link.session.tick(now_s))
             if link.end:
                 link.writer.close()  # ends the read that waits
@@ -395,6 +400,9 @@ class HermesService:
                 if message is None:
                     self._note(link.side, Message("unknown message"), fault="ignored")
                     continue
+                link.taken += 1
+                if link.taken > MOST_MESSAGES:
+                    raise ProtocolError(f"more than {MOST_MESSAGES} messages came within {TICK_S:g} s")
                 link.clock_off_s = _clock_off_s(message.timestamp)
                 answer = link.session.received(message, time.monotonic())
                 self._note(link.side, message, fault=answer.close or "; ".join(message.left_out))
