@@ -28,7 +28,7 @@ def test_a_foreign_camera_is_listed_and_gets_a_free_address(camera: ForeignCamer
     done = vaoi("cameras", "set-address", camera.serial)
     assert done.code == 0, done.err
     assert f"{camera.serial}: {camera.address} in place of 10.9.8.7" in done.out
-    assert camera.get(0x64C), "and it keeps it"
+    assert camera.number(0x64C), "and it keeps it"
     assert vaoi("cameras", "set-address", "UNKNOWN").code == 3
 
 

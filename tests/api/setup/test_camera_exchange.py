@@ -18,6 +18,7 @@ from vaoi_station.api.access import scope_needed
 from vaoi_station.api.app import create_app
 from vaoi_station.errors import StateError
 from vaoi_station.files import read_calibration
+from vaoi_station.rig.gige.device import MAC_LOW
 from vaoi_station.runs.states.schemas import ArmedWith
 
 
@@ -99,7 +100,7 @@ def test_what_could_be_a_mistake_is_refused_and_changes_nothing(
     assert refusal(camera=7)[0] == 404
     assert refusal(address="192.0.2.77")[:2] == (422, "invalid-input")
     other = ForeignCamera(new.serial, "10.9.8.8")
-    other.memory[0x0F] ^= 1
+    other.set_number(MAC_LOW, other.number(MAC_LOW) ^ 1)
     assert refusal()[:2] == (503, "camera-ambiguous")
     other.close()
     station.models[1] = "Other"

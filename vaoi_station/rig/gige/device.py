@@ -36,7 +36,7 @@ MAC_HIGH, MAC_LOW, ADDRESS, SUBNET, GATEWAY, SERIAL = 0x8, 0xC, 0x24, 0x34, 0x44
 USER_NAME, LINK_SPEED = 0xE8, 0x670
 PERSISTENT_ADDRESS, PERSISTENT_SUBNET, PERSISTENT_GATEWAY = 0x64C, 0x65C, 0x66C
 CAPABILITIES, HEARTBEAT_TIMEOUT, TICKS_HIGH, TICKS_LOW = 0x934, 0x938, 0x93C, 0x940
-CLOCK_CONTROL, CLOCK_HIGH, CLOCK_LOW, PRIVILEGE = 0x944, 0x948, 0x94C, 0xA00
+CLOCK_CONTROL, CLOCK_HIGH, CLOCK_LOW, PRIVILEGE, APPLICATION = 0x944, 0x948, 0x94C, 0xA00, 0xA14
 STREAM_PORT, PACKET_SIZE, PACKET_DELAY, STREAM_ADDRESS = 0xD00, 0xD04, 0xD08, 0xD18
 _CLOCK_RESET, _CLOCK_LATCH = 1, 2
 _CAN_PTP = 1 << 31 - 12
@@ -114,11 +114,13 @@ class Registers:
 class Device:
     """One device at one local address. A thread answers control requests."""
 
-    def __init__(self, address: str, description: str, *, serial: str, sensor: Sensor | None = None) -> None:
+    def __init__(
+        self, address: str, description: str, *, serial: str, sensor: Sensor | None = None, foreign: bool = False
+    ) -> None:
         """Serve a device.
 
         Args:
-            address: local address.
+            address: local address; with `foreign` one of another network, so that only broadcasts reach it.
             description: GenICam XML.
             serial: serial number.
             sensor: what the description leaves open.
@@ -142,10 +144,10 @@ class Device:
         self._closing, self._absent_until_s = False, 0.0
         self.registers = Registers()
         self.boot()
-        self._socket = self._bound(address)
+        self._socket = self._bound("127.0.0.1", 0) if foreign else self._bound(address)
         self._data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._data.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8 << 20)
-        self._data.bind((address, 0))
+        self._data.bind(("127.0.0.1" if foreign else address, 0))
         self._broadcasts = self._bound("255.255.255.255")
         self._threads = [
             threading.Thread(target=self._serve, args=(s,), name=f"camera {address}", daemon=True)
@@ -234,6 +236,7 @@ class Device:
     def release(self) -> None:
         """Have no controlling client any more."""
         self.set_number(PRIVILEGE, 0)
+        self.set_number(APPLICATION, 0)
         self.cure("reopen")
         self.on_release()
 
@@ -290,11 +293,15 @@ class Device:
 
     # --- control requests
 
-    def _bound(self, address: str) -> socket.socket:
+    def _bound(self, address: str, port: int = CONTROL_PORT) -> socket.socket:
         bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(address.endswith(".255")))
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        bound.bind((address, CONTROL_PORT))
+        try:
+            bound.bind((address, port))
+        except OSError:
+            bound.close()
+            raise
         return bound
 
     def _serve(self, at: socket.socket) -> None:
@@ -317,7 +324,7 @@ class Device:
             self.resend(content, extended=bool(flags & EXTENDED_IDS))
             return
         status, reply = self._reply(command, content, client)
-        if command == FORCE_IP and status:
+        if command == FORCE_IP and status == INVALID_PARAMETER:
             return  # the request is for another device
         head = struct.pack(">HHHH", status, command + 1, len(reply), request_id)
         broadcast = command == DISCOVERY and flags & ALLOW_BROADCAST_ACKNOWLEDGE
@@ -391,6 +398,7 @@ class Device:
         number = self.number(address)
         if address == PRIVILEGE:
             self._owner, self._heard_s = client, time.monotonic()
+            self.registers.write(APPLICATION, socket.inet_aton(client[0]))
             if not number:
                 self.release()
         elif address == CLOCK_CONTROL:
@@ -408,12 +416,15 @@ class Device:
         mac = int.from_bytes(content[2:8], "big")
         if mac != self.mac:
             return INVALID_PARAMETER
+        if self.controlled:
+            return ACCESS_DENIED
         address, subnet, gateway = content[20:24], content[36:40], content[52:56]
         if any(address):
             self.registers.write(ADDRESS, address)
             self.registers.write(SUBNET, subnet)
             self.registers.write(GATEWAY, gateway)
-            self._move(socket.inet_ntoa(address))
+            if self.address != socket.inet_ntoa(address):  # the command is repeated
+                self._move(socket.inet_ntoa(address))
         return 0
 
     def _move(self, address: str) -> None:
@@ -446,7 +457,8 @@ class Device:
             0x14: 5, SUBNET: 0xFF000000, GATEWAY: 0, PERSISTENT_SUBNET: 0xFF000000, PERSISTENT_GATEWAY: 0, 0x600: 1,
             LINK_SPEED: 1000, 0x900: 0, 0x904: 1, CAPABILITIES: 0xF0000006, HEARTBEAT_TIMEOUT: 3000,
             TICKS_HIGH: self.tick_hz >> 32, TICKS_LOW: self.tick_hz & 0xFFFFFFFF, CLOCK_CONTROL: 0, CLOCK_HIGH: 0,
-            CLOCK_LOW: 0, PRIVILEGE: 0, STREAM_PORT: 0, PACKET_SIZE: 1400, PACKET_DELAY: 0, STREAM_ADDRESS: 0,
+            CLOCK_LOW: 0, PRIVILEGE: 0, APPLICATION: 0, STREAM_PORT: 0, PACKET_SIZE: 1400, PACKET_DELAY: 0,
+            STREAM_ADDRESS: 0,
         }  # fmt: skip
         return {
             XML_ADDRESS: self._file + bytes(8),

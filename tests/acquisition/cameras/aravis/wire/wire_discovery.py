@@ -41,10 +41,10 @@ def test_a_camera_of_a_foreign_network_is_listed_beside_those_of_ours(
 def test_an_address_is_taken_at_once_and_kept(foreign: ForeignCamera) -> None:
     set_address(found(foreign.serial), FREE)
     assert foreign.address == FREE
-    kept = [socket.inet_ntoa(foreign.memory[at : at + 4]) for at in (0x64C, 0x65C)]
+    kept = [socket.inet_ntoa(foreign.read(at, 4)) for at in (0x64C, 0x65C)]
     assert kept == [FREE, "255.0.0.0"]
-    assert foreign.get(0x14) == 0b111, "the persistent address is used, and DHCP and link-local stay as they were"
-    assert foreign.get(0xA00) == 0, "and no program controls it"
+    assert foreign.number(0x14) == 0b111, "the persistent address is used, and DHCP and link-local stay as they were"
+    assert foreign.number(0xA00) == 0, "and no program controls it"
     now = found(foreign.serial)
     assert (now.address, now.in_network, now.control) == (FREE, True, Control.FREE)
 
@@ -55,7 +55,7 @@ def test_an_address_is_kept_although_a_station_opens_the_camera_there_at_first(f
     leaves.start()
     set_address(far, FREE)
     leaves.join()
-    assert socket.inet_ntoa(foreign.memory[0x64C : 0x64C + 4]) == FREE
+    assert socket.inet_ntoa(foreign.read(0x64C, 4)) == FREE
 
 
 def test_an_address_that_cannot_be_is_refused_with_its_cause(
@@ -72,14 +72,13 @@ def test_an_address_that_cannot_be_is_refused_with_its_cause(
 
 
 def test_a_camera_that_another_program_controls_keeps_its_address(foreign: ForeignCamera) -> None:
-    foreign.set(0xA00, 2)
+    foreign.take()
     with pytest.raises(DeviceError, match=r"Another program controls the camera F0REIGN1 at 10\.9\.8\.7") as refused:
         set_address(found(foreign.serial), FREE)
     assert (refused.value.code, foreign.address) == ("camera-in-use", "10.9.8.7")
-    foreign.set(0xA00, 0)
+    foreign.release()
     set_address(found(foreign.serial), FREE)
-    foreign.set(0xA00, 2)
-    foreign.set(0xA14, int.from_bytes(socket.inet_aton("10.1.2.3"), "big"))
+    foreign.take("10.1.2.3")
     with pytest.raises(DeviceError, match=r"Another program on 10\.1\.2\.3 controls the camera F0REIGN1"):
         set_address(found(foreign.serial), "127.0.0.78")
     assert foreign.address == FREE
