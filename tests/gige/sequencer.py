@@ -1,22 +1,19 @@
-"""The sequencer of the test camera (SFNC): its sets, and which of them is active."""
+"""The sequencer of the scripted camera (SFNC): its sets, and which of them is active."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tests.gige.description import ADDRESSES
-
 FRAME_START = 1
-_NAMES = {address: name for name, address in ADDRESSES.items()}
 
 
 @dataclass(frozen=True)
 class SequencerSet:
     """What is saved in one set."""
 
-    exposure_us: int
-    gain_centibel: int
+    exposure_us: float
+    gain_db: float
     next_set: int
     source: int
 
@@ -32,38 +29,36 @@ class Sequencer:
         self._number = self._start = 0
 
     @property
-    def active(self) -> tuple[int, int] | None:
-        """Exposure (µs) and gain (0.01 dB) of the active set; None while the sequencer is off."""
+    def active(self) -> tuple[float, float] | None:
+        """Exposure (µs) and gain (dB) of the active set; None while the sequencer is off."""
         if not self.on:
             return None
         chosen = self.sets[self._number]
-        return chosen.exposure_us, chosen.gain_centibel
+        return chosen.exposure_us, chosen.gain_db
 
     def advance(self) -> None:
         """Go to the next set, as the start of a frame was the signal to do so."""
         if self.on and self.sets[self._number].source == FRAME_START:
             self._number = self.sets[self._number].next_set
 
-    def refuses(self, address: int, get: Callable[[str], int]) -> bool:
+    def refuses(self, name: str, get: Callable[[str], float]) -> bool:
         """Whether a write is refused: SequencerMode is locked during configuration, and while no set is saved."""
-        return _NAMES[address] == "SequencerMode" and (not self.sets or bool(get("SequencerConfigurationMode")))
+        return name == "SequencerMode" and (not self.sets or bool(get("SequencerConfigurationMode")))
 
-    def write(self, address: int, get: Callable[[str], int], put: Callable[[str, int], None]) -> None:
-        """React to a client's write to a register of the sequencer, which has its new value already."""
-        name, configuring = _NAMES[address], bool(get("SequencerConfigurationMode"))
-        selected = get("SequencerSetSelector")
+    def write(self, name: str, get: Callable[[str], float], put: Callable[[str, float], object]) -> None:
+        """React to a client's write to a feature of the sequencer, which has its new value already."""
+        configuring, selected = bool(get("SequencerConfigurationMode")), int(get("SequencerSetSelector"))
         if name == "SequencerMode":
             self.on, self._number = bool(get(name)) and not configuring and bool(self.sets), self._start
             put(name, int(self.on))
         elif name == "SequencerSetStart":
-            self._start = get(name)
+            self._start = int(get(name))
         elif name == "SequencerSetSave" and configuring and not self.forgets_saving:
-            self.sets[selected] = SequencerSet(
-                get("ExposureTimeRaw"), get("GainCentibel"), get("SequencerSetNext"), get("SequencerTriggerSource")
-            )
+            following, source = int(get("SequencerSetNext")), int(get("SequencerTriggerSource"))
+            self.sets[selected] = SequencerSet(get("ExposureTime"), get("Gain"), following, source)
         elif name == "SequencerSetLoad" and configuring:
             chosen = self.sets.get(selected, SequencerSet(10_000, 0, 0, 0))
-            put("ExposureTimeRaw", chosen.exposure_us)
-            put("GainCentibel", chosen.gain_centibel)
+            put("ExposureTime", chosen.exposure_us)
+            put("Gain", chosen.gain_db)
             put("SequencerSetNext", chosen.next_set)
             put("SequencerTriggerSource", chosen.source)

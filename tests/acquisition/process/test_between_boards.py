@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from tests.acquisition.process.test_session import ScriptedDevice, SessionBench, session_bench
-from tests.gige.description import ADDRESSES
 from tests.gige.sequencer import FRAME_START, Sequencer, SequencerSet
 from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure, StatedExposure
 from vaoi_station.acquisition.controller.interface import BarrierBlocked, BeltPacing, PulseFired, RunEnded
@@ -42,14 +41,14 @@ class Sequenced(ScriptedDevice):
         self.rewind()
 
     def rewind(self) -> None:
-        modes = {"SequencerMode": 1, "SequencerConfigurationMode": 0, "SequencerSetSelector": 0}
-        self.sequencer.write(ADDRESSES["SequencerMode"], modes.__getitem__, modes.__setitem__)
+        modes: dict[str, float] = {"SequencerMode": 1, "SequencerConfigurationMode": 0, "SequencerSetSelector": 0}
+        self.sequencer.write("SequencerMode", modes.__getitem__, modes.__setitem__)
 
     def expose(self) -> StatedExposure:
         active = self.sequencer.active
         assert active is not None
         self.sequencer.advance()
-        return StatedExposure(float(active[0]), active[1] / 100)
+        return StatedExposure(*active)
 
 
 class Line:

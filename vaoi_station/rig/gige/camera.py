@@ -204,12 +204,17 @@ class Camera(Device):
         number, self.next_id = self.next_id, self.next_id + 1
         if self.next_id > (2**64 - 1 if self.extended else 65535):
             self.next_id = 1
-        packets = self.stream.frame(pixels, number, self.ticks(time_ns), IMAGE)
+        content, kind = self.framed(pixels)
+        packets = self.stream.frame(content, number, self.ticks(time_ns), kind)
         # Packets are sent again only after the frame, as a camera does it between two frames.
         with self._sending:
             self._sent = packets
             self.send(script(packets))
         return number
+
+    def framed(self, pixels: bytes | memoryview) -> tuple[bytes | memoryview, int]:
+        """Return what follows the leader of a frame, and the type of this payload."""
+        return pixels, IMAGE
 
     @property
     def trigger_delay_us(self) -> float:

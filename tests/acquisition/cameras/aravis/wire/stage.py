@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vaoi_station.acquisition.cameras.aravis.camera import AravisCamera, open_aravis_cameras
 from vaoi_station.acquisition.cameras.aravis.library import aravis
-from vaoi_station.acquisition.cameras.interface import Arrival, CameraEvent, Slot
+from vaoi_station.acquisition.cameras.interface import Arrival, CameraBack, CameraEvent, Slot
 from vaoi_station.acquisition.ring import Ring, RingLayout, ring_path
 from vaoi_station.config import StationConfig
 from vaoi_station.rig.network import addresses
@@ -118,6 +118,12 @@ class Stage:
 
     def arrival(self) -> Arrival:
         return self.until(Arrival)
+
+    def until_back(self) -> int:
+        """Wait until a camera is back and has its slots, which it gets after the event; return its number."""
+        number = self.until(CameraBack).camera
+        self.wait(lambda: self.cameras[number].health().connected)
+        return number
 
     def until(self, kind: type[News]) -> News:
         """Return the next event of a kind; others are dropped."""

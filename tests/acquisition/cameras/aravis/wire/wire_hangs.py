@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import pytest
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, noise
 from tests.gige.camera import Camera
-from tests.gige.description import ADDRESSES
 from vaoi_station.acquisition.cameras.aravis import camera as camera_module
 from vaoi_station.acquisition.cameras.aravis.recovery import Recovery
 from vaoi_station.acquisition.cameras.interface import CameraBack, CameraLost, DeviceFault
@@ -26,34 +25,14 @@ class HangingCamera(Camera):
     """It hangs until a new start of its acquisition cures it, or only its power."""
 
     def __init__(self, address: str, cure: str) -> None:
-        self.cure, self.hangs, self.deaf = cure, False, False
+        self._starts, self._cure = 0, cure
         super().__init__(address)
 
-    def send(self, packets: Sequence[bytes]) -> None:
-        if not self.hangs:
-            super().send(packets)
-
-    def _answer(self, datagram: bytes, client: tuple[str, int]) -> None:
-        if not self.deaf:
-            super()._answer(datagram, client)
-
-    def _write(self, at: int, content: bytes) -> None:
-        super()._write(at, content)
-        if at == ADDRESSES["AcquisitionStart"] and self.cure == "restart" and self.hangs:
-            self.cured_by_start()
-        elif at == ADDRESSES["DeviceReset"]:
-            self.boot()
-
-    starts = 0
-
-    def cured_by_start(self) -> None:
-        """End the hang with the second start: the first one is that of the camera which is opened again."""
-        self.starts += 1
-        self.hangs = self.starts < 2
-
-    def power_cycle(self) -> None:
-        self.boot()
-        self.hangs = self.deaf = False
+    def cure(self, what: str) -> None:
+        """End the hanging with the second start: the first one is that of the camera which is opened again."""
+        if what == "AcquisitionStart" and self._cure == "restart" and self.faults.sends_nothing:
+            self._starts += 1
+            self.faults.sends_nothing = self._starts < 2
 
 
 @pytest.fixture
@@ -78,7 +57,7 @@ def hang(
         while not ended.wait(0.01):
             if switched.exists():
                 switched.unlink()
-                camera.power_cycle()
+                camera.plug()
 
     def begin(cure: str) -> tuple[HangingCamera, Stage]:
         camera = HangingCamera("127.0.0.2", cure)
@@ -94,7 +73,7 @@ def hang(
         threading.Thread(target=switch, args=(camera,), name="camera 127.0.0.2 power").start()
         camera.expose(PIXELS)
         assert stage.arrival().complete
-        camera.hangs = True
+        camera.faults.sends_nothing = True
         return camera, stage
 
     yield begin
@@ -149,7 +128,7 @@ def test_a_deaf_camera_on_a_link_that_is_up_gets_its_power_switched(
 ) -> None:
     monkeypatch.setattr(camera_module, "ABSENT_LIMIT_S", 0.5)
     camera, stage = hang("power")
-    camera.deaf = True
+    camera.faults.silent = True
     assert "it does not answer any more" in stage.until(CameraLost).error.message
     stage.until(CameraBack)
     stage.wait(lambda: stage.cameras[0].health().connected and camera.armed)

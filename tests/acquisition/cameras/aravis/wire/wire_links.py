@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +10,9 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, noise
-from tests.gige.camera import STREAM_ADDRESS, STREAM_PORT, Camera
-from tests.gige.description import PACKET_SIZE_ADDRESS
+from tests.gige.camera import Camera
 from vaoi_station.config import StationConfig
+from vaoi_station.rig.gige.device import PACKET_SIZE, STREAM_ADDRESS, STREAM_PORT
 
 Open = Callable[[StationConfig], Stage]
 FIRE, DO_NOT_FRAGMENT = 1 << 31, 1 << 30
@@ -24,28 +24,24 @@ class TestedCamera(Camera):
     __test__ = False
 
     def __init__(self, address: str, path_bytes: int = 9000, *, fires: bool = True, once: bool = False) -> None:
-        self.path_bytes, self.fires, self.once = path_bytes, fires, once
-        self.tried: list[int] = []
+        self.once, self.tried, self._before = once, list[int](), 0
         super().__init__(address)
+        self.faults.path_bytes, self.faults.test_packets = path_bytes, fires
 
-    def send(self, packets: Sequence[bytes]) -> None:
-        super().send([packet for packet in packets if len(packet) + 28 <= self.path_bytes])
-
-    def _write(self, at: int, content: bytes) -> None:
-        before = self._number(PACKET_SIZE_ADDRESS)
-        super()._write(at, content)
-        now = self._number(PACKET_SIZE_ADDRESS)
-        if at != PACKET_SIZE_ADDRESS or not now & FIRE or (self.once and before & FIRE):
-            return
-        if not self.once:  # else the bit stays, and only a change of it fires
-            self._put(PACKET_SIZE_ADDRESS, now & ~FIRE)
-        size = now & 0xFFFF
-        self.tried.append(size)
-        assert now & DO_NOT_FRAGMENT
-        assert self._number(STREAM_PORT)
-        assert any(self._memory[STREAM_ADDRESS : STREAM_ADDRESS + 4])
-        if self.fires:
-            self.send([bytes(size - 28)])
+    def _on_bootstrap(self, address: int, client: tuple[str, int]) -> None:
+        now, before = self.number(PACKET_SIZE), self._before
+        if address == PACKET_SIZE:
+            self._before = now
+            if now & FIRE:
+                assert now & DO_NOT_FRAGMENT
+                assert self.number(STREAM_PORT)
+                assert self.number(STREAM_ADDRESS)
+                if self.once and before & FIRE:
+                    return  # only a change of the bit fires
+                self.tried.append(now & 0xFFFF)
+        super()._on_bootstrap(address, client)
+        if self.once and address == PACKET_SIZE:
+            self.set_number(PACKET_SIZE, now)  # the bit stays
 
 
 @pytest.fixture
@@ -94,10 +90,10 @@ def test_packets_are_as_large_as_the_way_from_the_camera_passes(
 ) -> None:
     camera = plug(path_bytes, **ways)
     staged = stage(camera, packet_bytes=wanted)
-    used = camera._number(PACKET_SIZE_ADDRESS) & 0xFFFF
+    used = camera.stream.packet_bytes
     assert low <= used <= high
     assert camera.tried[0] == min(wanted or 9000, 9000), "the largest one is tried first"
-    assert len(camera.tried) == 1 or used < 9000 or not camera.fires
+    assert len(camera.tried) == 1 or used < 9000 or not camera.faults.test_packets
     pixels = noise(3)
     camera.expose(pixels.tobytes())
     arrival = staged.arrival()

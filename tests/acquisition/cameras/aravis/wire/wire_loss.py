@@ -96,7 +96,7 @@ def test_slots_of_a_lost_camera_can_be_taken_back_and_given_again(device: Plug, 
     assert sorted(stage.cameras[0].take_back()) == list(range(count))
     stage.load(bay=1)
     mortal.plug()
-    stage.until(CameraBack)
+    stage.until_back()
     mortal.fire()
     assert stage.ring.layout.place(stage.arrival().slot)[0] == 1
 
@@ -108,7 +108,7 @@ def test_a_camera_that_is_no_longer_ours_is_opened_again(device: Plug, station: 
     stage.load()
     camera.release()
     assert "no longer controlled by this station" in stage.until(CameraLost).error.message
-    stage.until(CameraBack)
+    stage.until_back()
     camera.fire()
     assert stage.arrival().complete
 

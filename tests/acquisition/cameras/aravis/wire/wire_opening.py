@@ -127,7 +127,7 @@ def test_a_camera_that_another_program_controls_is_lost_until_that_program_ends_
     mine.fire()
     assert stage.arrival().camera == 0
     program.communicate()
-    assert stage.until(CameraBack).camera == 1
+    assert stage.until_back() == 1
     theirs.fire()
     assert stage.arrival().camera == 1
 

@@ -114,13 +114,13 @@ def test_a_clock_that_jumps_in_a_run_costs_the_frames_of_that_moment_and_is_name
 
 def test_a_firewall_that_drops_all_frames_is_named(line: Open) -> None:
     station = line()
-    station.camera.blocked = True
+    station.camera.faults.path_bytes = 0
     done = station.film()
     assert {frame.verdict for frame in done.frames} == {Verdict.MISSING}
     assert {frame.cause for frame in done.frames} == {NO_PACKET}
-    station.camera.blocked = False
+    station.camera.faults.path_bytes = 65535
     # A camera that sent nothing of a board is opened again, since a firewall looks like a camera that hangs.
     station.wait_for_camera()
     assert faults(station.film()) == {}
-    station.camera.blocked = True
+    station.camera.faults.path_bytes = 0
     assert "the camera sent no frame in this run" in station.film().frames[0].cause, "packets have come before"

@@ -132,7 +132,7 @@ def test_what_the_camera_cannot_hold_is_refused_and_another_program_is_taken(lin
     station.camera.sequencer.forgets_saving = False
     station.arm((700.0, 0.0))
     station.bench.until(Armed)
-    assert station.camera.get("ExposureTimeRaw") == 700, "what the refused program wrote is overwritten"
+    assert station.camera.value("ExposureTime") == 700, "what the refused program wrote is overwritten"
     # Steps that repeat need one turn only, and equal ones no sequencer.
     for steps in (((100.0, 0.0), (200.0, 0.0)) * 3, ((100.0, 0.0),) * 6):
         station.arm(*steps)
