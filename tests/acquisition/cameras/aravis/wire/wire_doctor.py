@@ -87,4 +87,4 @@ def test_a_camera_that_another_program_uses(device: Plug, station: Make, tmp_pat
         assert program.stdout.readline() == "held\n"
         finding = only(cameras(context(station(camera))))
         program.communicate("")
-    assert_problem(finding, Level.FAULT, "another program controls the camera")
+    assert_problem(finding, Level.FAULT, "another program on 127.0.0.1 controls the camera")
