@@ -112,6 +112,13 @@ def test_a_wrong_z_is_noticed() -> None:
     assert codes(answer) == ["readings-z-disagree"]
 
 
+def test_z_of_a_reading_that_is_left_out_counts_as_little_as_its_place() -> None:
+    first = Clamp().readings("F1", z=True)[0].model_copy(update={"x": 0.0})
+    answer = clamp(filmed(), request((first, *Clamp().readings("F2", "F3", "F4", "F5")), sigma_z=0.01, points=("U4",)))
+    assert codes(answer) == ["reading-wrong"]
+    assert answer.z_from == "fiducials"
+
+
 def test_readings_at_one_place_are_refused() -> None:
     same = tuple(r.model_copy(update={"x": 1.0, "y": 2.0}) for r in Clamp().readings(*ALL))
     assert codes(clamp(filmed(), request(same))) == ["readings-disagree"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.stitching.conftest import Filmed
+from vaoi_station.clamping import ClampedRequest, FilmedBoard, Reading, clamp
 from vaoi_station.files.documents import read_toml
 from vaoi_station.frame_index import FrameIndex
 from vaoi_station.geometry import apply
@@ -189,3 +190,30 @@ def test_one_fiducial_of_a_board_is_a_doubt(panel: Filmed) -> None:
     assert result.status is Status.DEGRADED
     assert result.reasons[0].startswith("one fiducial alone places 1 of 3 boards of the panel"), "one is skipped"
     assert error_mm(panel, result, "4") < 4 * result.quality["component_sigma_px"]["4/U1"] / 18
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_boards_of_a_clamped_panel_are_where_they_are_stated(panel: Filmed, own: bool) -> None:
+    """Without readings of a board's own fiducials it lies in the panel as it was filmed: displaced by 0.2 mm."""
+    random, board = np.random.default_rng(0), panel.board_type
+    film = FilmedBoard(board, panel.stitch, float(np.mean([c.px_per_mm for c in panel.setup.cameras])))
+    truth = {None: panel.truth["cad_matrix"], **panel.truth["board_matrices"]}
+    up = -1 if np.linalg.det(np.array(truth[None])[:2, :2]) < 0 else 1
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+
+    def clamped(cad: tuple[float, float], position: object) -> Any:
+        place = apply(np.array(truth[None if position is None else str(position)]), np.array(cad))
+        return turn @ (place * (1, up)) + (50.0, 70.0)
+
+    marks = [m for m in board.fiducials if own or m.panel is None]
+    errors = []
+    for _ in range(30):
+        noisy = [(m.name, clamped((m.x, m.y), m.panel) + random.normal(0, 0.01, 2)) for m in marks]
+        readings = tuple(Reading(fiducial=name, x=x, y=y) for name, (x, y) in noisy)
+        request = ClampedRequest(readings=readings, sigma=0.01, points=tuple(c.address for c in board.components))
+        answer = clamp(film, request)
+        assert [t.board for t in answer.transforms] == [None, *("1234" if own else "")]
+        at = np.array([clamped(c.center, c.panel) for c in board.components])
+        found = np.array([(p.x, p.y, p.sigma_x, p.sigma_y) for p in answer.points])
+        errors.append((found[:, :2] - at) / found[:, 2:])
+    assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.4

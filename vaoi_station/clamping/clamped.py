@@ -42,6 +42,7 @@ def clamp(film: FilmedBoard, request: doc.ClampedRequest) -> doc.Clamped:
     every = {(): (whole, used), **regions}
     placing = Placing(film, {key: found for key, (found, _) in every.items()}, bending, request.unit)
     found = {
+        "z_from": "readings" if readings.with_z else "fiducials",
         "status": Status.DEGRADED if readings.reasons else Status.OK,
         "reasons": tuple(readings.reasons),
         "remarks": tuple(readings.remarks),

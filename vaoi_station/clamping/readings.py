@@ -269,15 +269,14 @@ class Readings:
 
     def heights(self, used: list[int]) -> Bending:
         """Return the heights that the readings show."""
+        good = [k for k, n in enumerate(self.with_z) if n not in self.left_out]
+        self.with_z, self.z, self.sigma_z = [self.with_z[k] for k in good], self.z[good], self.sigma_z[good]
         if not self.with_z:
             return level(self.film, self.of[used].tolist(), self.bow)
-        good = [k for k, n in enumerate(self.with_z) if n not in self.left_out]
-        of, z, sigma = self.of[np.array(self.with_z)[good]].tolist(), self.z[good], self.sigma_z[good]
-        found = bent(self.film, of, z, sigma, self.bow)
-        misfit = (((z - found.z_mm(self.film.cad[of])) / sigma) ** 2).sum() + (
-            (found.values[3:] / found.prior_mm) ** 2
-        ).sum()
-        free = max(len(of) - 3, 0)
+        of = self.of[self.with_z].tolist()
+        found = bent(self.film, of, self.z, self.sigma_z, self.bow)
+        off = (self.z - found.z_mm(self.film.cad[of])) / self.sigma_z
+        misfit, free = (off**2).sum() + ((found.values[3:] / found.prior_mm) ** 2).sum(), max(len(of) - 3, 0)
         if misfit > free + _SIGMAS * math.sqrt(2 * free) + _SIGMAS:
             bow = np.abs(found.values[3:]).max() / self.mm
             message = f"z of the readings fit a board that is bent by {bow:.3g} {self.request.unit} only"
