@@ -275,7 +275,7 @@ def test_doubts_and_boards_are_gone_through_by_keyboard_beside_good_ones_and_lim
     for name in ("part", "good", "difference"):
         page.wait_for_function(f"() => document.querySelector('#trios .{name} img')?.naturalWidth > 4")
     page.locator("#limits summary").press("Enter")
-    page.get_by_label("For", exact=True).select_option("every")
+    page.locator("#level").select_option("every")  # as soon as the station has answered
     page.get_by_label("Limit (empty: none)").fill("0.9")
     page.keyboard.press("Enter")
     expect(page.locator("#limit-answer")).to_have_text("It would have marked 2 parts on 1 of the latest 1 boards.")
