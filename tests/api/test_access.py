@@ -144,6 +144,7 @@ EXPECTED = {
         "POST /orders",
         "PATCH /orders/{order}",
         "DELETE /orders/{order}",
+        "DELETE /neighbours/boards/{board_id}",
     },
     "teach": {
         "POST /cameras/{camera}/trial",

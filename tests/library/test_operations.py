@@ -42,6 +42,7 @@ LEFT_OUT = {
         ),
         _DRAWN,
     ),
+    **dict.fromkeys(("get_neighbours", "remove_board"), "for a person at the line, on the page"),
     "get_limits": "they are `limits` of the board type",
     "get_good_boards": "the replies to `keep_as_good` and `remove_from_good` list them",
     **dict.fromkeys(("list_import_previews", "get_import_preview"), "a StationImport holds its document"),

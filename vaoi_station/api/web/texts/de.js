@@ -984,6 +984,18 @@ const warnings = {
   "database-deleted": ["Die Datenbank wurde gelöscht.", "Eine Sicherung einspielen, wenn es keine Absicht war; dann die leere Datei löschen, die der Satz der Station nennt."],
   "database-replaced": ["An die Stelle der Datenbank wurde eine andere Datei gelegt, während die Station lief.", "Die Station anhalten, bevor eine Sicherung eingespielt wird."],
   "mqtt-lost": ["Der Broker ist nicht zu erreichen, oder er weist die Station ab.", "Broker, Adresse, Benutzer und Zertifikat prüfen; es wird weiter versucht."],
+  "board-in-gap": ["Eine Baugruppe ist auf dem Weg zur Lichtschranke.", "Warten, bis sie dort ist."],
+  "board-flipped": ["Die angekündigte Baugruppe liegt mit der anderen Seite nach oben, als ihr Auftrag aufnimmt.", "Sie wenden, oder einen Auftrag für diese Seite geben."],
+  "neighbour-lost": ["Eine Maschine der Linie ist nicht verbunden.", "Sie einschalten, Kabel und Adresse in [hermes] prüfen; es wird weiter versucht."],
+  "line-address": ["Eine Adresse aus [hermes] ist auf diesem Rechner nicht zu benutzen.", "Sie berichtigen, oder das Programm beenden, das den Port belegt."],
+  "board-between-machines": ["Eine Baugruppe steht zwischen zwei Maschinen, oder es ist unbekannt, welche von beiden sie hat.", "Herausnehmen, wenn sie dort steht; dann auf der Seite „Sie ist entnommen“ drücken."],
+  "board-late": ["Eine Baugruppe kam nicht in der erlaubten Zeit von der Maschine davor.", "Die Förderbänder zwischen den Maschinen prüfen."],
+  "boards-wait": ["Alle Plätze hinter den Kameras sind belegt.", "Warten, oder nach der nächsten Maschine sehen."],
+  "board-id-twice": ["Zwei Baugruppen kamen mit derselben Nummer; die zweite geht mit einer Nummer der Station weiter.", "Beide bestimmen und die Maschine davor prüfen."],
+  "product-unusable": ["Der Baugruppentyp eines Produkts der Linie ist nicht zu benutzen.", "Den Baugruppentyp ablegen, oder hermes.products berichtigen."],
+  "neighbour-connected": ["Eine Maschine der Linie hat sich verbunden.", NOTHING],
+  "neighbour-says": ["Eine Maschine der Linie hat etwas gemeldet.", NOTHING],
+  "neighbour-refused": ["Eine Maschine der Linie hat gesendet, was der Standard nicht erlaubt; ihre Verbindung wurde beendet.", "Dem Hersteller der Maschine melden, wenn es sich wiederholt."],
   "events-not-pushed": ["Ein Empfänger lag so weit zurück, dass Ereignisse ausgelassen wurden.", "Sie mit GET events?after= lesen."],
 };
 
@@ -1277,7 +1289,7 @@ const translated = {
   checks: {
     configuration: "Konfiguration", "compiled code": "übersetzter Code", time: "Uhrzeit",
     others: "weitere", station: "Station", calibration: "Kalibrierung", "board types": "Baugruppentypen",
-    "flat fields": "Hellfelder", "light programs": "Lichtprogramme", "stand-ins": "Ersatz für Geräte", certificate: "Zertifikat", receivers: "Empfänger", disk: "Festplatte",
+    "flat fields": "Hellfelder", "light programs": "Lichtprogramme", "stand-ins": "Ersatz für Geräte", certificate: "Zertifikat", receivers: "Empfänger", neighbours: "Nachbarn", upstream: "Maschine davor", disk: "Festplatte",
     "shared memory": "Bildspeicher", "memory lock": "Festhalten des Speichers", aravis: "Aravis", "socket buffers": "Empfangspuffer",
     "USB memory": "USB-Speicher", cameras: "Kameras", controller: "Steuerung",
   },
