@@ -5,7 +5,7 @@ import { number, texts } from "../texts/texts.js";
 import { Neighbours } from "./neighbours.js";
 
 const WIDE = matchMedia("(min-width: 1300px)"); // as line.css has it: on others nothing is asked for
-const DIGITS = { sigma_px: 3, residual_px: 3, ready_ms: 0, slip_percent: 2 };
+const DIGITS = { sigma_px: 3, ready_ms: 0 };
 const PART = `
 <h2 data-text="lastMeasures"></h2>
 <dl id="last-measures"></dl>
