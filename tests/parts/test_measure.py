@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.parts.conftest import stitched, taught
-from vaoi_station.model import Status
+from vaoi_station.model import BoardLimits, Status
 from vaoi_station.parts.document import Remark, changes, dark_lights, disagreement_steps, measure_parts, parts_document
 from vaoi_station.parts.learned import TaughtBoard
 from vaoi_station.parts.measure import Run, SoFar
@@ -60,6 +60,21 @@ def test_a_board_on_which_most_parts_are_unlike_is_called_another_revision(
     assert document["remark_codes"] == ["other-revision"]
     assert remark.startswith("{unlike} of {said} parts are unlike".format(**document["remark_values"][0]))
     assert event_message(document) == remark, "one statement, and not a fault for each part"
+
+
+def test_limits_mark_parts_and_the_event_names_them(good_boards: tuple[TaughtBoard, ...]) -> None:
+    run, models = stitched(2, ABSENT), Models(good_boards)
+    limits = BoardLimits.model_validate({"every": {"presence": 0.5}, "parts": {"C2": {"presence": 0.0}}})
+    run = run._replace(board_type=run.board_type.model_copy(update={"limits": limits}))
+    document = parts_document(run, models, measure_parts(run, models), changes(run, good_boards, "c"))
+    marked = [ref for ref, part in document["parts"].items() if "marked" in part]
+    assert set(marked) == set(ABSENT) - {"C2"}
+    assert document["parts"]["C4"]["marked"] == ["presence"]
+    document["parts"] = {
+        ref: {key: value for key, value in part.items() if value is not None} for ref, part in document["parts"].items()
+    }
+    shown = f"9 of them are beyond limits: {', '.join(marked[:5])} …."
+    assert event_message(document).endswith(shown), "that two good boards are few is no part of every message"
 
 
 def codes(remarks: list[Remark]) -> list[str]:

@@ -69,7 +69,9 @@ def parts(
     write_json(out, document | {"good_boards_disagree": disagreeing})
     said = [p["presence"] for p in measured.values() if p["presence"] is not None]
     absent = sum(p < 0.5 for p in said)
-    typer.echo(f"{len(measured)} part(s): {len(said)} measured, {absent} absent → {out}")
+    marked = sum("marked" in p for p in measured.values())
+    limits = f", {marked} beyond limits" if run.board_type.limits is not None else ""
+    typer.echo(f"{len(measured)} part(s): {len(said)} measured, {absent} absent{limits} → {out}")
     _say_disagreements(disagreeing)
     for remark in document["remarks"]:
         typer.echo(f"- {remark}")
