@@ -11,7 +11,7 @@ import pytest
 from tests.parts.conftest import stitched, taught
 from vaoi_station.model import BoardLimits, Status
 from vaoi_station.parts.document import Remark, changes, dark_lights, disagreement_steps, measure_parts, parts_document
-from vaoi_station.parts.learned import TaughtBoard
+from vaoi_station.parts.learned import TaughtBoard, parts_digest
 from vaoi_station.parts.measure import Run, SoFar
 from vaoi_station.parts.models import Models
 from vaoi_station.runs.archive.measured_parts import event_message
@@ -140,3 +140,18 @@ def test_a_lamp_that_is_out_is_said_and_makes_no_board_of_another_revision() -> 
     assert low <= set(ABSENT)
     assert len(low) > len(ABSENT) / 2
     assert sum(p["dx_mm"] is not None for p in parts.values()) > 25
+
+
+def test_a_board_equals_itself_where_heights_are_unknown_and_no_two_parts_look_alike() -> None:
+    """Each camera sees the tall parts of one kind from another side."""
+    run = stitched(0)
+    bare = tuple(
+        c.model_copy(update={"body_height": None, "package": None, "width": 3.0, "height": 3.0})
+        for c in run.board_type.components
+    )
+    run = run._replace(board_type=run.board_type.model_copy(update={"components": bare}))
+    board = TaughtBoard.of_run("good", run.cut_on_tops(bare, {}), parts_digest(run.board_type), "c")
+    parts = measure_parts(run, Models((board,)))
+    unlike = {a for a, p in parts.items() if p["alike"] is not None and p["alike"] < 0.5}
+    assert unlike == set()
+    assert sum(p["alike"] is not None for p in parts.values()) > 30

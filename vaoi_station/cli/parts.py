@@ -50,9 +50,9 @@ def parts(
             refuse_input(out, path, read, None, None)
     _refuse_wrong(good or [], keep)
     run, taken_with = _stitched(case, calibration, board)
-    boards = []
+    boards: list[TaughtBoard] = []
     for path in good or ():
-        boards.append(read_taught_board(path) if path.is_file() else _taught(path, board, keep))
+        boards.append(read_taught_board(path) if path.is_file() else _taught(path, board, keep, boards))
     known = merged(boards)
     if others := [board.name for board in known if not board.is_of(run.board_type)]:
         raise InputError(
@@ -89,8 +89,9 @@ def teach_good(
     if recordings and keep is None:
         raise InputError(f"{recordings[0]}: is a recording, and --keep is missing.", action="Give it a directory.")
     _refuse_wrong(recordings, keep)
-    boards = [_taught(path, board, keep) for path in recordings]
-    for taught in boards:
+    boards: list[TaughtBoard] = []
+    for path in recordings:
+        boards.append(taught := _taught(path, board, keep, boards))
         typer.echo(f"{taught.name}: {sum(map(len, taught.addresses))} part(s) are kept → {keep}")
     _say_disagreements(completed(disagreement_steps(boards)))
     wanted = [("PUT", run) for run in good if not Path(run).is_dir()] + [("DELETE", run) for run in not_good]
@@ -108,12 +109,13 @@ def _say_disagreements(found: list[dict[str, Any]]) -> None:
         typer.echo(f"- good board {one['board']}: {one['part']} looks unlike others of its kind; is it right there?")
 
 
-def _taught(path: Path, board: Path | None, keep: Path | None) -> TaughtBoard:
+def _taught(path: Path, board: Path | None, keep: Path | None, others: list[TaughtBoard]) -> TaughtBoard:
     """Return what a recording of a good board looks like, and keep it in the directory `keep`, if there is one."""
     from vaoi_station.parts.learned import ENDING, TaughtBoard, parts_digest
+    from vaoi_station.parts.models import Models
 
     run, calibration = _stitched(path, None, board)
-    name, patches = path.resolve().name, run.cut(run.board_type.components)
+    name, patches = path.resolve().name, run.cut_on_tops(run.board_type.components, Models(others).heights_mm)
     taught = TaughtBoard.of_run(name, patches, parts_digest(run.board_type), calibration)
     if keep is not None:
         taught.write(keep / f"{name}{ENDING}")

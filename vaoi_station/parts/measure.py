@@ -19,6 +19,8 @@ from vaoi_station.parts.search import search
 
 _UNLIKE = 3.0
 """How unlike good ones a part may look that is as usual."""
+_MOST_DIMMER = 3.0
+"""Largest factor by which the contrast of a run's good parts differs from that of good boards: lamps become dimmer."""
 _ODD, _NEAR_MM = 10.0, 0.12
 """How unlike a part must look to be searched and compared with other kinds.
 
@@ -35,12 +37,14 @@ _MOST_SEARCHED = 400
 """Largest number of parts that are searched in one run; of a board of another type, all would be."""
 _TURNED = 0.6
 """Misfit of a part with the template turned, as a share of that upright, from which on it counts as turned."""
+_MOST_PLANES, _SIGNIFICANT = 4, 2.0
+"""Number of times that a height is measured anew on its plane, and σ by which it must lie off it."""
 _LEAST_HEIGHT_MM = 0.05
 """Parts that are expected to be flatter have no height by parallax."""
 
 
 Gains = dict[tuple[str, int], float]
-"""Contrast of the good parts of a run by kind and class."""
+"""Contrast of the good parts of a run, as a share of that on good boards, by kind and class."""
 
 
 class Run(NamedTuple):
@@ -55,6 +59,27 @@ class Run(NamedTuple):
     def cut(self, parts: Sequence[Component], **how: Any) -> RunPatches:
         """Cut the patches of parts; see `cut_patches`."""
         return cut_patches(self.board_type, (self.stitch, self.cameras, self.head), self.frame, parts, **how)
+
+    def cut_on_tops(self, parts: Sequence[Component], heights_mm: Mapping[str, float]) -> RunPatches:
+        """Cut the patches of parts of a good board on the planes on which those of later boards are compared.
+
+        Of parts whose height neither the CAD data nor other good boards (`heights_mm`) state, that is the one at which
+        the frames agree: their parallax shows it from near by only, so that it is measured again there.
+        """
+        known = dict(heights_mm)
+        for _ in range(_MOST_PLANES):
+            patches = self.cut(parts, heights_mm=known)
+            found = {}
+            for k, part in enumerate(parts):
+                above, sigma = float(patches.above_mm[k]), float(patches.above_sigma_mm[k])
+                top = float(patches.height_mm[k]) + above
+                stated = part.body_height is not None or part.address in heights_mm
+                if not stated and abs(above) > max(_SIGNIFICANT * sigma, _LEAST_HEIGHT_MM) and top > _LEAST_HEIGHT_MM:
+                    found[part.address] = top
+            if not found:
+                break
+            known |= found
+        return patches
 
     def classes(self) -> tuple[ViewClass, ...]:
         """Return the view classes of the run's frames."""
@@ -279,11 +304,13 @@ def _like(kind: Kind, pictures: Floats32, cad_mm_from_px: Floats, key: tuple[str
         if len(at):
             for old, new in zip(best, template.fit(pictures[at]), strict=True):
                 old[at] = new
-    usual = best.misfit < _UNLIKE * kind.usual
+    # What is flat fits any template of little contrast.
+    lit = np.abs(np.log(np.maximum(best.gain, 0.02) / kind.gain)) < np.log(_MOST_DIMMER)
+    usual = (best.misfit < _UNLIKE * kind.usual) & lit
     if key not in gains and usual.sum() > 2:
-        gains[key] = max(float(np.median(best.gain[usual])), 0.05)
+        gains[key] = max(float(np.median(best.gain[usual])) / kind.gain, 0.05)
     of_class = [v for (_, k), v in gains.items() if k == key[1]]
-    gain = gains.get(key, float(np.median(of_class)) if of_class else kind.gain)
+    gain = kind.gain * gains.get(key, float(np.median(of_class)) if of_class else 1.0)
     m = np.maximum(best.misfit / kind.usual, 1e-3)
     contrast, level = kind.deviations(best, gain)
     px = np.einsum("nij,nj->ni", cad_mm_from_px, best.pose[:, :2])

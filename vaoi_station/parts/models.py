@@ -103,28 +103,39 @@ class _Taught(NamedTuple):
     raised: NDArray[np.bool_]
     """(n,) whether the part is not known to be missing: its height is not that of the bare board."""
 
+    def some(self, chosen: Sequence[int]) -> _Taught:
+        """Return some of the patches."""
+        mine = list(chosen)
+        return _Taught(self.patches[mine], tuple(self.of[n] for n in mine), self.raised[mine])
+
 
 def learn_kinds(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> tuple[Kind, ...]:
     """Return what the taught boards show of one kind of parts under one light; empty if none shows it.
 
     Parts of one package and size are one kind, whatever their place. Those that look otherwise than the rest on all
-    taught boards are variants, for their own places: another value, another source.
+    taught boards are variants, for their own places: another value, another source. Those with which no others are
+    alike, as tall parts that each camera sees from another side, are variants each by itself.
     """
     taught = _collect(grid, view, boards)
     if taught is None:
         return ()
     kinds = [_learn(grid, taught, None)]
     left = taught
-    for _ in range(_MOST_VARIANTS):
+    for variant in range(_MOST_VARIANTS + 1):
         unlike: dict[str, list[float]] = {}
         measured = kinds[-1].unlikeness(kinds[-1].fit, kinds[-1].gain)
         for (_, address), value in zip(left.of, np.where(left.raised, measured, -np.inf).tolist(), strict=True):
             unlike.setdefault(address, []).append(value)
         some = frozenset(a for a, u in unlike.items() if min(u) > -np.inf and np.median(u) > STRANGE)
         mine = [n for n, (_, a) in enumerate(left.of) if a in some]
-        if not mine or len(mine) == len(left.of):
+        if not mine:
             break
-        left = _Taught(left.patches[mine], tuple(left.of[n] for n in mine), left.raised[mine])
+        if len(mine) == len(left.of) or variant == _MOST_VARIANTS:
+            for address in sorted(some):
+                own = [n for n in mine if left.of[n][1] == address]
+                kinds.append(_learn(grid, left.some(own), frozenset({address}), kinds[0].shaded))
+            break
+        left = left.some(mine)
         kinds.append(_learn(grid, left, some, kinds[0].shaded))
     return tuple(kinds)
 
@@ -144,7 +155,7 @@ def _collect(grid: Grid, view: ViewClass, boards: Sequence[TaughtBoard]) -> _Tau
         found += [(p, scale) for p in board.patches[n][known, c]]
         of += [(board.name, a) for a, k in zip(board.addresses[n], known.tolist(), strict=True) if k]
         expected, measured, _ = board.heights_mm[n][known].T
-        raised.append(~(measured < _RAISED * expected))
+        raised.append(~((expected > 0) & (measured < _RAISED * expected)))
     if not found:
         return None
     patches = np.empty((len(found), grid.height, grid.width), np.float32)
@@ -308,8 +319,8 @@ class Models:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # parts without any height have none here
             middle = {a: np.nanmedian(np.stack(v), 0) for a, v in heights.items()}
-        self.heights_mm = {a: float(v[1]) for a, v in middle.items() if np.isfinite(v[1])}
-        """Heights of bodies by address, for parts whose CAD data state none."""
+        self.heights_mm = {a: float(v[0]) for a, v in middle.items() if v[0] > 0}
+        """Planes on which the patches of good boards were cut, by address, for parts whose CAD data state no height."""
         self.lifts = {a: v[1:] / v[0] for a, v in middle.items() if v[0] > 0}
         """Heights by parallax as shares of the expected ones, alone and with a strip, by address: leads are lower."""
 

@@ -101,7 +101,7 @@ def test_limits_mark_parts_and_say_what_they_would_have_marked(client: Any, stat
     first, second = station.film(), station.film()
     client.put(f"{RUNS}/{first}/good")
     assert "marked" not in client.get(f"{RUNS}/{second}/parts").json()["parts"]["R1"], "no limit is a default"
-    limits = {"every": {"presence": 0.5}, "parts": {"U1": {"presence": 0.0, "most_height_mm": 0.01}}}
+    limits = {"every": {"presence": 0.5}, "parts": {"U1": {"presence": 0.0, "alike": 1.0}}}
     known = client.get(type_address).content
     asked = client.post(f"{address}/check", json=limits)
     assert client.get(type_address).content == known
@@ -113,7 +113,7 @@ def test_limits_mark_parts_and_say_what_they_would_have_marked(client: Any, stat
     assert client.get(type_address).json()["limits"] == report["limits"]
     third = station.film()
     measured = client.get(f"{RUNS}/{third}/parts").json()["parts"]
-    assert (measured["R1"]["marked"], measured["U1"]["marked"]) == (["presence"], ["height_mm"])
+    assert (measured["R1"]["marked"], measured["U1"]["marked"]) == (["presence"], ["alike"])
     assert client.put(address, json={}).json()["marked_parts"] == 0
     assert client.get(address).json() == {"packages": {}, "parts": {}}
     refusals: list[Any] = [{"parts": {"R99": {}}}, {"packages": {"0603": {}}}, {"every": {"presence": 2}}, {"evry": {}}]

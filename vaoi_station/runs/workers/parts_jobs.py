@@ -140,9 +140,9 @@ class TeachJob(_PartsOfRun):
         for path, changed_ns in self.good:
             others.append(_board(path, changed_ns))
             yield
-        digest, pieces = parts_digest(self.board_type), []
+        digest, pieces, tops = parts_digest(self.board_type), [], _models(tuple(others)).heights_mm
         for some in _in_steps(self.board_type):
-            pieces.append(TaughtBoard.of_run(self.run, run.cut(some), digest, self.calibration))
+            pieces.append(TaughtBoard.of_run(self.run, run.cut_on_tops(some, tops), digest, self.calibration))
             yield
         board = joined(pieces)
         board.write(self.file)
