@@ -38,6 +38,8 @@ _AT_ONCE = 64
 """Number of parts whose heights are computed at once, which bounds the memory."""
 _MATRIX_PX = 0.03
 """Standard deviation of the place of a frame against another one, px of a frame."""
+_LEAST_TEXTURE = 0.05
+"""Least share of the gradients that is taken for texture, the rest being noise."""
 _BLANK = 0.5
 """Share of such pixels on a body from which on it cannot be judged."""
 _SEEN = 0.97
@@ -352,14 +354,17 @@ def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floa
     slopes = np.concatenate([one.slopes_px for one in seen])
     slopes = slopes - np.asarray(np.add.reduceat(slopes, starts) / count[:, None])[of]
     shown = np.stack([picture[inside] for one in seen for picture in one.pictures]).reshape(len(of), -1)
-    # A saturated pixel differs between frames by light, not by place.
-    usable = np.maximum.reduceat(shown, starts) < np.array([[one.clipped] for one in seen], np.float32)
-    rest = (shown - middle[of]) * usable[of]
+    rest = shown - middle[of]
     # Lamp and lens shade the views differently: gain, offset and a slope of the brightness say nothing of the height.
     at = np.indices(np.shape(means[0, *inside]), np.float32).reshape(2, -1)
     y, x = ((v - v.mean()) / max(float(np.ptp(v)), 1.0) for v in at)
     scaled = middle / np.maximum(middle.mean(1, keepdims=True), 1.0)
-    columns = np.stack([np.ones_like(scaled), scaled, scaled * x, scaled * y, gx, gy], 1) * usable[:, None]
+    columns = np.stack([np.ones_like(scaled), scaled, scaled * x, scaled * y, gx, gy], 1)
+    clipped = np.array([[one.clipped] for one in seen], np.float32)
+    if shown.max() >= clipped.min():
+        # A saturated pixel differs between frames by light, not by place.
+        usable = np.maximum.reduceat(shown, starts) < clipped
+        rest, columns = rest * usable[of], columns * usable[:, None]
     normal = (columns @ columns.swapaxes(1, 2)).astype(np.float64)
     pairs = zip(np.split(rest, starts[1:]), columns, strict=True)
     along = np.concatenate([some @ own.T for some, own in pairs]).astype(np.float64)
@@ -370,9 +375,16 @@ def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floa
     unexplained = np.square(rest).sum(1) - np.einsum("vi,vij,vj->v", along[:, :4], inverse[of], along[:, :4])
     product = np.add.reduceat((slopes * found).sum(1), starts)
     squares = np.add.reduceat(slopes[:, :, None] * slopes[:, None], starts)
-    safe = np.maximum((squares * gradients).sum((1, 2)), 1e-9)
-    off = -product / safe
-    noise = (np.add.reduceat(unexplained, starts) - off**2 * safe) / (count * middle.shape[1])
+    power = np.maximum((squares * gradients).sum((1, 2)), 1e-9)
+    # Noise has gradients, too: taken for texture, they would say that faint ground does not move between the frames.
+    rough = rest[starts].reshape(n, *np.shape(means[0, *inside]))
+    by_noise = sum(
+        squares[:, k, k] * np.square(step).sum((1, 2)) / 4 / (count - 1)
+        for k, step in enumerate((rough[:, :, 2:] - rough[:, :, :-2], rough[:, 2:] - rough[:, :-2]))
+    )
+    signal = np.maximum(power - by_noise, _LEAST_TEXTURE * power)
+    off = -product / signal
+    noise = (np.add.reduceat(unexplained, starts) - product**2 / power) / (count * middle.shape[1])
     apart = np.maximum(squares[:, 0, 0] + squares[:, 1, 1], 1e-12)
-    variance = 4 * np.maximum(noise, _LEAST_NOISE**2) / safe + _MATRIX_PX**2 / apart
-    return np.where(safe > 1e-9, off, 0.0), np.where(safe > 1e-9, 1 / variance, 0.0)
+    variance = 4 * np.maximum(noise, _LEAST_NOISE**2) * power / signal**2 + _MATRIX_PX**2 / apart
+    return np.where(power > 1e-9, off, 0.0), np.where(power > 1e-9, 1 / variance, 0.0)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-PRESENT = (18.439, -6.718, 6.363, 0.706, 0.651, -0.358, 6.867)
+PRESENT = (19.438, -6.951, 6.715, 0.744, 0.505, -0.412, 8.009)
 """Presence: constant, unlikeness, the same beyond `_KNEE`, evidence of the height, alone and with a strip, unlikeness
 beyond `_KNEE` once more where heights say little, and by how much less unlike another kind it looks.
 
 Absent parts counted twice: a tester rather looks at one more part than probes one that is not there."""
-HEIGHT_ALONE = (2.341, 0.45, 1.453)
+HEIGHT_ALONE = (2.397, 1.422, 1.164)
 """Presence by the height alone: constant, evidence of the height, alone and with a strip."""
 ALIKE = (8.75, -3.09)
 """Likeness to good boards: constant, unlikeness."""
