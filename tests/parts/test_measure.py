@@ -41,6 +41,18 @@ def test_a_board_without_good_ones_says_what_heights_alone_tell() -> None:
     assert all(reasons for reasons in silent)
 
 
+def test_noise_alone_does_not_say_that_parts_are_there() -> None:
+    run = stitched(2)
+
+    def noise(camera: int, row: int) -> np.ndarray:
+        size = run.head.cameras[camera].height, run.head.cameras[camera].width
+        return np.random.default_rng([camera, row]).normal(90, 4, size).clip(0, 255).astype(np.uint8)
+
+    parts = measure_parts(run._replace(frame=noise), Models(()))
+    # One part in twenty at most: noise is seldom some standard deviations off.
+    assert sum(p["presence"] is not None for p in parts.values()) <= len(parts) // 20
+
+
 def test_an_absent_part_on_a_good_board_is_shown_with_board_and_part(good_boards: tuple[TaughtBoard, ...]) -> None:
     bad = taught(stitched(2, ("R7",)), "not-good")
     assert ("not-good", "R7") in {(d["board"], d["part"]) for d in completed(disagreement_steps((*good_boards, bad)))}

@@ -125,7 +125,7 @@ def describe(patches: RunPatches, evidence: Evidence, known: Collection[str] = (
             reasons.append("light-untaught" if part.address in known else "untaught")
             # Of a part with leads, the footprint shows the bare board as well.
             told = p >= _SURE[1] or (p <= _SURE[0] and is_chip(patches.grids[patches.grid[k]]))
-            if not np.isfinite(e.lift[k]) or not told:
+            if np.abs(heights[k]).sum() < probability.FAINT or not told:
                 reasons.append("undecided")
             else:
                 found["presence"] = round(p, 4)

@@ -377,10 +377,11 @@ def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floa
     squares = np.add.reduceat(slopes[:, :, None] * slopes[:, None], starts)
     power = np.maximum((squares * gradients).sum((1, 2)), 1e-9)
     # Noise has gradients, too: taken for texture, they would say that faint ground does not move between the frames.
-    rough = rest[starts].reshape(n, *np.shape(means[0, *inside]))
+    rough = rest.reshape(len(of), *np.shape(means[0, *inside]))
+    steps = rough[:, :, 2:] - rough[:, :, :-2], rough[:, 2:] - rough[:, :-2]
     by_noise = sum(
-        squares[:, k, k] * np.square(step).sum((1, 2)) / 4 / (count - 1)
-        for k, step in enumerate((rough[:, :, 2:] - rough[:, :, :-2], rough[:, 2:] - rough[:, :-2]))
+        squares[:, k, k] * np.add.reduceat(np.square(step).sum((1, 2)), starts) / (4 * count * (count - 1))
+        for k, step in enumerate(steps)
     )
     signal = np.maximum(power - by_noise, _LEAST_TEXTURE * power)
     off = -product / signal

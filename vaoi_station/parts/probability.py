@@ -42,8 +42,8 @@ _UNTAUGHT = ((1.0, 0.15), (0.65, 0.33))
 """Height by parallax of a part that was not taught and its standard deviation, alone and with a strip around it."""
 _BOARD = (0.0, -0.08)
 """Height by parallax of the bare board, alone and with a strip."""
-_FAINT = 2.0
-"""Evidence of heights below which only the look decides."""
+FAINT = 2.0
+"""Evidence of heights below which only the look decides; without good boards, nothing."""
 _ALONE = 2.0
 """Factor on the standard deviation of the height of the body alone: faint texture next to pads misleads it."""
 _MOST_HEIGHT = 8.0
@@ -74,7 +74,7 @@ def presence_features(unlike: Floats, other: Floats, heights: Floats) -> Floats:
     own, others = (np.log(np.maximum(v, 1e-3)) for v in (unlike, other))
     own = np.clip(own, 0, _MOST)
     beyond = np.maximum(own - _KNEE, 0)
-    faint = np.abs(heights).sum(1) < _FAINT
+    faint = np.abs(heights).sum(1) < FAINT
     explained = np.clip(np.minimum(own, _OTHER) - others, 0, _OTHER)
     return np.column_stack([np.ones(len(own)), own, beyond, heights, beyond * faint, explained])
 
