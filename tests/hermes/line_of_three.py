@@ -244,7 +244,7 @@ class Downstream(End):
     """Takes the boards; is ready or not, and stops a transfer before or after its end."""
 
     def __init__(self, world: World, line: Line) -> None:
-        self.world, self.line, self.generation = world, line, 0
+        self.world, self.line, self.generation, self.transfer = world, line, 0, 0
         self.offered: Message | None = None
 
     def up(self) -> None:
@@ -277,20 +277,22 @@ class Downstream(End):
         assert self.offered is not None
         offered, rng = self.offered, self.world.random
         self.send(Message.of("StartTransport", BoardId=session.board))
+        self.transfer += 1
         what = rng.choices(("3", "1", "2"), (0.95, 0.03, 0.02))[0]
-        self.world.after(0.2, lambda: self.board_moves(generation, offered, what))
+        self.world.after(0.2, lambda t=self.transfer: self.board_moves(generation, t, offered, what))  # type: ignore[misc]
         if what != "3" or rng.random() < 0.3:
-            self.world.after(rng.uniform(0.4, 1.5), lambda: self.stop(generation, what))
+            self.world.after(rng.uniform(0.4, 1.5), lambda t=self.transfer: self.stop(generation, t, what))  # type: ignore[misc]
 
-    def board_moves(self, generation: int, offered: Message, what: str) -> None:
-        if generation == self.generation and what == "3" and self.session is not None and self.session.moving:
-            self.line.leaves(offered)
-        elif what == "2" or (what == "3" and self.world.random.random() < 0.5):
-            pass  # it stands between the machines, or the machine died before it took it
-
-    def stop(self, generation: int, what: str) -> None:
+    def board_moves(self, generation: int, transfer: int, offered: Message, what: str) -> None:
+        # Else it stands between the machines, was not started, or the connection has ended before it moved.
         session = self.session
-        if generation == self.generation and session is not None and session.may_send("StopTransport"):
+        same = (generation, transfer) == (self.generation, self.transfer)
+        if same and what == "3" and session is not None and session.moving:
+            self.line.leaves(offered)
+
+    def stop(self, generation: int, transfer: int, what: str) -> None:
+        session, same = self.session, (generation, transfer) == (self.generation, self.transfer)
+        if same and session is not None and session.may_send("StopTransport"):
             self.send(Message.of("StopTransport", TransferState=what, BoardId=session.board))
             if session.state is State.IDLE:
                 self.world.after(self.world.random.uniform(0, 3), lambda: self.ready(generation))
@@ -303,7 +305,7 @@ class Downstream(End):
             session, generation = self.session, self.generation
             assert session is not None
             if session.state is State.FINISHED:
-                self.stop(generation, message.values["TransferState"])
+                self.stop(generation, self.transfer, message.values["TransferState"])
             else:
                 self.world.after(self.world.random.uniform(0, 3), lambda: self.ready(generation))
 

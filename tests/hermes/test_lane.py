@@ -275,3 +275,17 @@ def test_a_neighbour_is_not_asked_anew_for_what_only_informs(played: Played) -> 
     played.take("downstream", "Command", Command=1)
     assert played.lane.held == ()
     assert played.events == ["neighbour-says"] * 2
+
+
+def test_a_board_that_may_be_a_bad_one_passes_as_bad_until_the_bad_one_is_seen() -> None:
+    played = Played(places=9)
+    for side in ROLES:
+        played.connect(side)
+    played.comes_in("b1", FailedBoard=2)
+    bad = played.orders.gap.pop()
+    played.film("run-1")  # it is not certain which board this is
+    played.orders.gap.append(bad)
+    played.film("run-2")
+    played.film("run-3")
+    assert [board.values["FailedBoard"] for board in played.lane.waiting] == ["2", "2", "0"]
+    assert [board.announced for board in played.lane.waiting] == [False, True, False]

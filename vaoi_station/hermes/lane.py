@@ -135,6 +135,8 @@ class Lane:
     _started_s: dict[Side, float] = field(default_factory=dict)
     """Times at which a transfer began that has not ended."""
     _offered: Message | None = None
+    _came: deque[Message] = field(default_factory=lambda: deque(maxlen=4))
+    """The latest boards whose transport began and that no run has shown for certain."""
 
     @property
     def passes_on(self) -> bool:
@@ -225,6 +227,7 @@ class Lane:
         if state == COMPLETE and self._offered is not None:
             self._track("BoardArrived", self._offered.board(), self._offered.parts, TRANSFERRED)
         elif state == NOT_STARTED:
+            self._forget(board)
             self.orders.withdrawn(self.config.lane)  # the machine offers it again, or does not
         elif state == INCOMPLETE:
             self._doubt("upstream", f"Board {board} did not come in completely: it stands between the machines.")
@@ -265,7 +268,9 @@ class Lane:
         """Take that a board is behind the cameras and its run has ended; None: it passed without a run."""
         self.passing.discard(run or "")
         board = self._board_of(run)
-        if not board.announced:
+        if board.announced:
+            self._forget(board.board_id)
+        else:
             self._track("BoardArrived", board.values, board.parts, INSERTED)
         if self.passes_on:
             self.waiting.append(board)
@@ -287,8 +292,15 @@ class Lane:
         elif known is not None and isinstance(known.details, Message):
             return Inside(known.board_id, known.details.board(), known.details.parts, run, announced=True)
         own = str(uuid.uuid5(_OWN_IDS, f"{self.machine}/{run}") if run is not None else uuid.uuid4())
-        values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": "0", "FlippedBoard": "0"}
+        # It may be any of those that came: if one of them is bad, it must not pass as one that may be good.
+        failed = "2" if any(came.get("FailedBoard") == "2" for came in self._came) else "0"
+        values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": failed, "FlippedBoard": "0"}
         return Inside(own, values, {}, run, announced=False)
+
+    def _forget(self, board_id: str) -> None:
+        """Take that this board is not among those that came and were not seen."""
+        for came in [came for came in self._came if came.get("BoardId") == board_id]:
+            self._came.remove(came)
 
     def remove(self, board_id: str, now_s: float) -> bool:
         """Take that somebody took a board out behind the cameras. Return False if it is not there or is leaving."""
@@ -358,6 +370,8 @@ class Lane:
         if session.state is State.BOTH:
             self.orders.started(self.config.lane)
             self._started_s["upstream"] = now_s
+            if self._offered is not None:
+                self._came.append(self._offered)
             speed = None if self.speed_mm_s is None else f"{self.speed_mm_s:g}"
             start = Message.of("StartTransport", BoardId=session.board, ConveyorSpeed=speed)
             self.send("upstream", start)
