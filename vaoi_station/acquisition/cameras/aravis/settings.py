@@ -305,8 +305,9 @@ def ptp_of(camera: Any) -> CameraPtp:
     """Return what a camera states of its PTP now."""
     features = Features(camera)
     for command in filter(features.has, families.PTP_LATCHES):
+        # Its end is not awaited, as by `execute`: others wait for the camera, perhaps between two boards.
         with answered():
-            features.execute(command)
+            camera.get_device().execute_command(command)
     state, offset_ns = "", None
     with answered():
         state = next((str(features.read(name)) for name in families.PTP_STATES if features.has(name)), "")
