@@ -23,7 +23,8 @@ from vaoi_station.acquisition.process.messages import Arm, Armed, Ready, RunFini
 from vaoi_station.errors import DeviceError
 from vaoi_station.model import ProgramRow
 
-PERIOD_S, START_S = 0.1, 0.4
+PERIOD_S, START_S, BAYS, MOST_FILMS = 0.1, 0.4, 3, 6
+SENT_TOO_SLOWLY = "parts of the frame did not arrive in time"
 SCENE = np.random.default_rng(1).integers(5, 60, WIDTH * HEIGHT, dtype=np.uint8)
 STEPS = ((300.0, 0.0), (100.0, 0.0), (100.0, 6.0))
 FACTORS = (3.0, 1.0, 10**0.3)
@@ -42,8 +43,9 @@ class Line:
         config = station_config(directory, [camera_config(**content, exposure_by="sequencer")], PERIOD_S)
         self.bench = Bench(config, lambda _: Devices(open_aravis_cameras(config), self.controller))
         self.bench.until(Ready)
-        for bay in range(3):
+        for bay in range(BAYS):
             self.bench.grant(f"run {bay}", bay)
+        self._films = 0
         self._pace = threading.Event()
 
     def arm(self, *steps: tuple[float, float]) -> None:
@@ -51,8 +53,17 @@ class Line:
         self.bench.send(Arm(plan))
 
     def film(self, rows: int, ignored: int | None = None) -> RunFinished:
-        """Film a board; the camera does not answer the pulse of row `ignored`."""
+        """Film a board; the camera does not answer the pulse of row `ignored`.
 
+        The camera sends from a thread of this process. On a busy machine it may rest between two packets of a frame
+        for longer than Aravis waits; the board then passes once more.
+        """
+        done = self._pass(rows, ignored)
+        while self._films < MOST_FILMS and any(SENT_TOO_SLOWLY in frame.cause for frame in done.frames):
+            done = self._pass(rows, ignored)
+        return done
+
+    def _pass(self, rows: int, ignored: int | None) -> RunFinished:
         def expose(row: int, edge_ns: int) -> None:
             if row not in (-1, ignored):
                 self.camera.film(SCENE.tobytes(), edge_ns)
@@ -60,7 +71,10 @@ class Line:
             self._pace.wait(PERIOD_S if row >= 0 else START_S)
 
         self.controller.board(rows, expose)
-        return self.bench.until(RunFinished)
+        done = self.bench.until(RunFinished)
+        self.bench.grant(f"run {self._films + BAYS}", self._films % BAYS)
+        self._films += 1
+        return done
 
 
 @pytest.fixture
