@@ -96,6 +96,18 @@ def test_a_board_at_the_barrier_keeps_its_order_when_several_wait(line: Line) ->
     assert line.control.orders.take(early) is before
 
 
+def test_a_board_missed_before_a_request_takes_effect_makes_its_id_uncertain(line: Line) -> None:
+    filming(line)
+    line.order = replace(line.order, board_id="A")
+    line.arm()
+    missed_s = time.monotonic()
+    line.control.orders.doubt(missed_s, missed_s, "a board was missed")
+    board_leaves(line)
+    assert line.control.orders.present_doubt == "a board was missed"
+    line.arm()
+    assert line.control.orders.present_doubt is None
+
+
 def test_disarming_returns_unused_memory_and_a_waiting_order_is_armed_afterwards(line: Line) -> None:
     line.armed()
     [run] = line.granted()

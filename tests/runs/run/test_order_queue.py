@@ -85,6 +85,7 @@ class Line(RuleBasedStateMachine):
         _, edge_s = self.at_barrier.pop(0)
         self.queue.missed(edge_s, self.now_s)
         self.orders.doubt(edge_s, self.now_s, "a board had passed without a run of its own before")
+        self.now_s += 0.01  # what a caller says later was said with the knowledge of it
 
     @precondition(lambda self: self.runs)
     @rule()
@@ -278,6 +279,19 @@ def test_a_second_order_for_a_board_and_too_many_are_refused(orders: Orders) -> 
         post(orders, f"n{n}")
     with pytest.raises(StateError, match="200 orders wait"):
         post(orders, "one more")
+
+
+def test_only_arming_again_makes_orders_certain_after_a_missed_board(orders: Orders) -> None:
+    post(orders, "a")
+    post(orders, "b")
+    orders.doubt(12.0, 12.0, "a board was missed")
+    post(orders, "urgent", priority=1, now_s=13.0)
+    orders.queue.move("b", 1, None, 14.0)
+    assert [order.certain for order in orders.listed()] == [False, False, False]
+    orders.accept(None, None, 16.0, known_s=11.0)
+    assert not orders.listed()[0].certain, "it was asked for before the board was missed"
+    orders.accept(None, None, 17.0)
+    assert [order.certain for order in orders.listed()] == [True, True, True]
 
 
 def test_what_the_line_was_armed_with_is_for_boards_without_an_order(orders: Orders) -> None:

@@ -60,6 +60,8 @@ class _Request(NamedTuple):
     order: Order | None
     runs: int | None
     completion: Completion
+    asked_s: float
+    """When its caller knew of all boards that had been reported."""
 
 
 class LineControl:
@@ -123,12 +125,14 @@ class LineControl:
         self.orders.doubt(now_s, now_s, "the station was restarted, and boards may have passed unnoticed")
         self._events.add("armed", f"{_armed_for(resumed.order, 'again ')}, as before the restart.", code="armed-again")
 
-    def arm(self, order: Order | None, runs: int | None, completion: Completion) -> None:
+    def arm(self, order: Order | None, runs: int | None, completion: Completion, asked_s: float | None = None) -> None:
         """Arm the line for an order and a number of boards (None: no limit); without one, for the orders that wait.
 
-        The completion is set once the line is armed, or carries the refusal.
+        The completion is set once the line is armed, or carries the refusal. `asked_s` is when it was asked for; None:
+        now.
         """
-        request, state = _Request(order, runs, completion), self._machine.state
+        asked_s = time.monotonic() if asked_s is None else asked_s
+        request, state = _Request(order, runs, completion, asked_s), self._machine.state
         first = self.orders.queue.next(order)
         if self._disarm_sent and state in _ARMED_STATES:
             self._after_disarm.append(request)
@@ -143,6 +147,7 @@ class LineControl:
                 # in force is armed again.
                 self._after_disarm.append(request)
                 self._send_disarm()
+                self._setting_since_s = asked_s
                 return
             if state is StationState.BLOCKED and first is not None:
                 self._grant()
@@ -156,8 +161,10 @@ class LineControl:
         except (StateError, BusyError, DeviceError) as refusal:
             completion.set_exception(refusal)
             return
-        self.orders.accept(order, runs, time.monotonic())
-        self._setting_since_s = None
+        self.orders.accept(order, runs, time.monotonic(), asked_s)
+        if order is not None:
+            # Who arms for a board type holds boards back until the reply.
+            self._setting_since_s = None
         self._keep_order()
         self._machine.advance(StationStep.ARM)
         self._events.add("armed", f"{_armed_for(order)}.")

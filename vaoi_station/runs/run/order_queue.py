@@ -156,7 +156,7 @@ class OrderQueue:
         if name is not None and (other := next((q for q in self.kept if q.order.board_id == name), None)):
             message = f"Order {other.id} is for board {name!r} already."
             raise StateError(message, action="Withdraw it first, or give this board its own id.", code="order-exists")
-        self._place(queued, self.waiting, None, now_s)
+        self._place(replace(queued, since_s=now_s), self.waiting, None, now_s)
 
     def withdraw(self, order: str, now_s: float) -> None:
         """Remove an order. A board that is at the barrier or on its way to it keeps it."""
@@ -173,9 +173,9 @@ class OrderQueue:
         """Let the orders wait that waited when the station ended."""
         self._arrange(tuple(replace(queued, since_s=now_s) for queued in waiting), now_s)
 
-    def renew(self, now_s: float) -> None:
-        """Take a caller's word that the next board belongs to the first order, because the line was armed now."""
-        self._arrange(tuple(replace(queued, since_s=now_s) for queued in self.waiting), now_s)
+    def renew(self, now_s: float, known_s: float) -> None:
+        """Take a caller's word that the next board belongs to the first order; it knew of boards until `known_s`."""
+        self._arrange(tuple(replace(queued, since_s=known_s) for queued in self.waiting), now_s)
 
     def shared(self, order: Order) -> Order:
         """Return a waiting order that films the same, or the given one: board types may be large."""
@@ -377,9 +377,9 @@ class OrderQueue:
         """Let an order wait at a position; without one, behind all of the same or a higher priority."""
         behind = (n + 1 for n in reversed(range(len(others))) if others[n].priority >= queued.priority)
         place = next(behind, 0) if position is None else position - 1
-        # A caller who gives the first order knows which board comes next. One further back is as certain as that before
-        # it: if that one is for a board that has passed, this one's board takes the order of another.
-        since_s = now_s if place == 0 else others[place - 1].since_s
+        # If a waiting order may be for a board that has passed, boards and orders are out of step, wherever this one is
+        # put: only who arms again says that they are not.
+        since_s = min((queued.since_s, *(other.since_s for other in others)))
         self._arrange((*others[:place], replace(queued, since_s=since_s), *others[place:]), now_s)
 
     def _arrange(self, waiting: tuple[Queued, ...], now_s: float) -> None:

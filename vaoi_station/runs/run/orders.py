@@ -30,7 +30,8 @@ class _FormerOrder(NamedTuple):
 
     order: Order | None
     since_s: float
-    by_orders: bool = False
+    known_s: float
+    by_orders: bool
 
 
 @dataclass
@@ -47,6 +48,8 @@ class Orders:
     by_orders: bool = False
     """Whether the line was armed for waiting orders alone."""
     since_s: float = _NEVER_S
+    known_s: float = _NEVER_S
+    """Time until which the caller knew of all boards that had been reported."""
     queue: OrderQueue = field(default_factory=OrderQueue)
     uncertain: str = ""
     """Why it is not known which order the board has that was taken last; empty if it is."""
@@ -71,18 +74,24 @@ class Orders:
         return self.queue.next(self._for_any) if self.armed else None
 
     @property
+    def _present(self) -> _FormerOrder:
+        return _FormerOrder(self.order, self.since_s, self.known_s, self.by_orders)
+
+    @property
     def _for_any(self) -> Order | None:
         return self.order if self.runs_left != 0 else None
 
-    def accept(self, order: Order | None, runs: int | None, now_s: float) -> None:
+    def accept(self, order: Order | None, runs: int | None, now_s: float, known_s: float | None = None) -> None:
         """Put an order in force for the boards that interrupt the barrier after `now_s`; `runs` limits their number.
 
-        Waiting orders come before it. None: boards are filmed for waiting orders alone.
+        Waiting orders come before it. None: boards are filmed for waiting orders alone. The caller knew of the boards
+        that had been reported until `known_s`, by default until now.
         """
-        self._former.append(_FormerOrder(self.order, self.since_s, self.by_orders))
+        self._former.append(self._present)
         self.order, self.runs_left, self.since_s, self.resumed = order, runs, now_s, False
+        self.known_s = now_s if known_s is None else known_s
         self.by_orders = order is None
-        self.queue.renew(now_s)
+        self.queue.renew(now_s, self.known_s)
 
     def take(self, barrier_s: float, run: str = "", granted: Order | None = None) -> Order | None:
         """Return the order of a board that interrupted the barrier at `barrier_s`, and count the board.
@@ -102,7 +111,7 @@ class Orders:
             why = "a board had reached the barrier just before an order was given, which may have been for it"
             self.doubt(_NEVER_S, self.queue.changed_s, why)
         # The time at the barrier decides: until the first pulse, orders may be accepted that are for later boards.
-        every = [*self._former, _FormerOrder(self.order, self.since_s, self.by_orders)]
+        every = [*self._former, self._present]
         latest = max((n for n, one in enumerate(every) if one.since_s <= barrier_s), default=0)
         if every[latest].by_orders:
             return self.disown(run, granted, "it had reached the barrier before an order was given")
@@ -113,7 +122,7 @@ class Orders:
         # Boards come in the order of their edges: no later one needs the orders before this one.
         for _ in range(found):
             self._former.popleft()
-        self.taken_since_s = every[found].since_s
+        self.taken_since_s = every[found].known_s
         # Only boards of the present order are counted, because `runs_left` belongs to it.
         if found == len(every) - 1 and self.runs_left is not None:
             self.runs_left = max(self.runs_left - 1, 0)
@@ -130,8 +139,8 @@ class Orders:
     def cancel(self, now_s: float) -> None:
         """End the order in force. A board that interrupted the barrier before `now_s` keeps it; orders still wait."""
         if self.armed:
-            self._former.append(_FormerOrder(self.order, self.since_s, self.by_orders))
-            self.order, self.runs_left, self.by_orders, self.since_s = None, None, False, now_s
+            self._former.append(self._present)
+            self.order, self.runs_left, self.by_orders, self.since_s, self.known_s = None, None, False, now_s, now_s
 
     def doubt_since_last(self, now_s: float, why: str) -> None:
         """Record that boards may have passed without a run since the latest board that has one, until now.
@@ -155,7 +164,7 @@ class Orders:
     def present_doubt(self) -> str | None:
         """Why the armed board id may belong to another board than the next; None if certain, or none is armed."""
         first = self.queue.first
-        order, since_s = (self.order, self.since_s) if first is None else (first.order, first.since_s)
+        order, since_s = (self.order, self.known_s) if first is None else (first.order, first.since_s)
         if not self.armed or order is None or order.board_id is None or self.queue.by_messages:
             return None
         return self.doubt_of(since_s, float("inf"))
