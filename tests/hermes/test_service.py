@@ -15,6 +15,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.hermes import service
 from vaoi_station.hermes.framing import Framing
 from vaoi_station.hermes.messages import Message, read_message
+from vaoi_station.model import Reason
 
 WAIT_S = 30.0
 HELLO = Message.of("ServiceDescription", MachineId="other", LaneId=1, Version="1.6")
@@ -125,6 +126,17 @@ def test_clocks_years_apart_are_shown_and_change_nothing(station: PlayedStation,
         off_s = station.service.status().neighbours[0].clock_off_s
         assert off_s is not None
         assert off_s < -1e8
+
+
+def test_a_fault_of_the_queue_of_orders_ends_neither_thread_nor_line(station: PlayedStation, port: int) -> None:
+    def fail(lane: int) -> tuple[Reason, ...]:
+        raise RuntimeError("fault")
+
+    station.orders.may_accept = fail  # type: ignore[method-assign]
+    with downstream(station, port) as peer:
+        peer.send(Message.of("MachineReady", FailedBoard=0), Message.of("CheckAlive", Type=1, Id="5"))
+        peer.next("CheckAlive")
+    assert station.service.thread.fault() is None
 
 
 def test_boards_behind_the_cameras_survive_a_restart(tmp_path: Path, port: int) -> None:

@@ -317,14 +317,18 @@ class HermesService:
         self._save()
 
     def _guarded(self, act: Callable[..., object], *args: object) -> None:
-        """Let the lane act. What the queue of orders refuses is published; the line goes on."""
+        """Let the lane act. What the queue of orders refuses is published, and a fault is logged: the line goes on."""
         try:
             act(*args)
-        except VaoiError as refusal:
+        except Exception as error:  # noqa: BLE001  a fault here must not end the station
             # Every tick tries again: what lasts is published once.
-            if str(refusal) != self._refusal and not self._stopping.is_set():
-                self._publish("trouble", refusal.message, code=refusal.code, action=refusal.action)
-            self._refusal = str(refusal)
+            if str(error) == self._refusal or self._stopping.is_set():
+                return
+            self._refusal = str(error)
+            if isinstance(error, VaoiError):
+                self._publish("trouble", error.message, code=error.code, action=error.action)
+            else:
+                _log.exception("the neighbours are served on after a fault")
 
     # --- neighbours
 
@@ -383,6 +387,9 @@ class HermesService:
                 self._take(link, data)
         except OSError as error:
             why = error.strerror or type(error).__name__
+        except Exception:  # noqa: BLE001  a fault here must not end the station: the neighbour connects again
+            why = "a fault of this program"
+            _log.exception("the connection to the %s machine is ended after a fault", side)
         finally:
             del self._links[side]
             self._lost_s[side] = time.monotonic()
@@ -546,6 +553,11 @@ class HermesService:
         if now == self._saved:
             return
         self._saved = now
+        # A disk may be slow: the silence of this thread is no fault then.
+        with self.thread.waiting():
+            self._write_boards(now)
+
+    def _write_boards(self, now: tuple[Inside, ...]) -> None:
         try:
             write_json(self._file, _Waiting(boards=tuple(map(_shown, now))).model_dump(mode="json"))
         except VaoiError as error:
