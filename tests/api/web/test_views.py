@@ -17,7 +17,7 @@ from vaoi_station.runs.states.tables import StationState
 pytestmark = pytest.mark.browser
 AXE = Path(__file__).parent / "vendor" / "axe-core" / "axe.min.js"
 SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
-SIZES = ((800, 480), (1024, 768), (1280, 800), (1920, 1080))
+SIZES = ((390, 844), (800, 480), (1024, 768), (1280, 800), (1920, 1080))
 VIEWS = {
     "/": "#verdict-word:not(:empty)",
     "/#/boards": "#list tbody tr",
