@@ -110,7 +110,7 @@ class MeasuredParts:
         Raises:
             NotFoundError: the run is unknown or has no result.
             StateError: the run has no CAD mapping.
-            GoneError: the frames are no longer in memory, and the parts were not measured while they were.
+            GoneError: the frames are neither in memory nor recorded, and the parts were not measured before.
         """
         if (found := self._known(run)) is not None:
             return found
