@@ -1,4 +1,4 @@
-"""Pitfalls of real cameras, which Aravis' fake camera does not have: a scripted camera sends each of them."""
+"""Pitfalls of real cameras: the rig's camera, scripted, sends each of them."""
 
 from __future__ import annotations
 
