@@ -38,8 +38,8 @@ _AT_ONCE = 64
 """Number of parts whose heights are computed at once, which bounds the memory."""
 _MATRIX_PX = 0.03
 """Standard deviation of the place of a frame against another one, px of a frame."""
-_LEAST_TEXTURE = 0.05
-"""Least share of the gradients that is taken for texture, the rest being noise."""
+_LEAST_TEXTURE, _MOST_NOISE = 0.05, 4.0
+"""Least share of the gradients that is taken for texture, the rest being noise; largest noise, grey levels."""
 _BLANK = 0.5
 """Share of such pixels on a body from which on it cannot be judged."""
 _SEEN = 0.97
@@ -366,8 +366,8 @@ def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floa
         usable = np.maximum.reduceat(shown, starts) < clipped
         rest, columns = rest * usable[of], columns * usable[:, None]
     normal = (columns @ columns.swapaxes(1, 2)).astype(np.float64)
-    pairs = zip(np.split(rest, starts[1:]), columns, strict=True)
-    along = np.concatenate([some @ own.T for some, own in pairs]).astype(np.float64)
+    split = np.split(rest, starts[1:])
+    along = np.concatenate([some @ own.T for some, own in zip(split, columns, strict=True)]).astype(np.float64)
     inverse = np.linalg.inv(normal[:, :4, :4] + 1e-6 * normal[:, :1, :1] * np.eye(4))
     shading = inverse @ normal[:, :4, 4:]
     gradients = normal[:, 4:, 4:] - normal[:, 4:, :4] @ shading
@@ -377,15 +377,19 @@ def _parallax(seen: Sequence[_Views], inside: tuple[slice, slice]) -> tuple[Floa
     squares = np.add.reduceat(slopes[:, :, None] * slopes[:, None], starts)
     power = np.maximum((squares * gradients).sum((1, 2)), 1e-9)
     # Noise has gradients, too: taken for texture, they would say that faint ground does not move between the frames.
+    moves = np.split((slopes * (product / power)[of, None]).astype(np.float32), starts[1:])
+    rest = np.concatenate([some - m @ own[4:] for some, m, own in zip(split, moves, columns, strict=True)])
     rough = rest.reshape(len(of), *np.shape(means[0, *inside]))
     steps = rough[:, :, 2:] - rough[:, :, :-2], rough[:, 2:] - rough[:, :-2]
     by_noise = sum(
         squares[:, k, k] * np.add.reduceat(np.square(step).sum((1, 2)), starts) / (4 * count * (count - 1))
         for k, step in enumerate(steps)
     )
+    noise = (np.add.reduceat(unexplained, starts) - product**2 / power) / (count * middle.shape[1])
+    # Larger differences than those of noise are those of a part far from the plane.
+    by_noise = by_noise * np.minimum(_MOST_NOISE**2 / np.maximum(noise, 1e-9), 1)
     signal = np.maximum(power - by_noise, _LEAST_TEXTURE * power)
     off = -product / signal
-    noise = (np.add.reduceat(unexplained, starts) - product**2 / power) / (count * middle.shape[1])
     apart = np.maximum(squares[:, 0, 0] + squares[:, 1, 1], 1e-12)
     variance = 4 * np.maximum(noise, _LEAST_NOISE**2) * power / signal**2 + _MATRIX_PX**2 / apart
     return np.where(power > 1e-9, off, 0.0), np.where(power > 1e-9, 1 / variance, 0.0)
