@@ -6,7 +6,6 @@ from the good ones, or taken over from another station, with its file.
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import shutil
@@ -17,6 +16,8 @@ from contextlib import AbstractContextManager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+
+from pydantic_core import from_json
 
 from vaoi_station.errors import BusyError, GoneError, InputError, NotFoundError, StateError
 from vaoi_station.model import BoardLimits, BoardType, PartLimits
@@ -126,7 +127,7 @@ class MeasuredParts:
     def measure_of(self, run: str, address: str) -> dict[str, Any] | None:
         """Return the measure of a part; None if the parts of the run were not measured."""
         content = self._known(run)
-        return None if content is None else json.loads(content)["parts"].get(address)
+        return None if content is None else from_json(content)["parts"].get(address)
 
     def limits_of(self, run: str, address: str) -> PartLimits:
         """Return the limits of a part of a run, by the version of the board type with which it was filmed."""
@@ -183,7 +184,7 @@ class MeasuredParts:
         self._events.add("parts", f"The board is kept as a good one of {name!r}.", run=run, state="good")
         absent = [
             ref
-            for ref, entry in json.loads(self._documents.get(run) or b'{"parts": {}}')["parts"].items()
+            for ref, entry in from_json(self._documents.get(run) or b'{"parts": {}}')["parts"].items()
             if entry.get("presence", 1.0) < _ABSENT
         ]
         doubts = tuple(Disagreement.model_validate(d) for d in taught.disagreements)
@@ -238,7 +239,7 @@ class MeasuredParts:
         for run in runs:
             if (content := self._archive.store.parts(run)) is None:
                 continue
-            parts = json.loads(content)["parts"]
+            parts = from_json(content)["parts"]
             counts["runs"] += 1
             counts["measured"] += len(parts)
             for address, measure in parts.items():
@@ -302,7 +303,7 @@ class MeasuredParts:
             _log.warning("parts of run %s failed", run, exc_info=True)
             self._events.add("trouble", f"Parts were not measured: {fault}", run=run, code="parts-not-measured")
             return
-        self._events.add("parts", event_message(json.loads(content)), run=run, state="measured")
+        self._events.add("parts", event_message(from_json(content)), run=run, state="measured")
 
 
 def good_file(directory: Path, board_type: str, run: str) -> Path:
