@@ -84,7 +84,7 @@ def survivors(camera: Camera, left: list[Leftover]) -> Iterator[str]:
         idle = any(entry != in_use.get(selector, entry) for selector, entry in leftover.at.items())
         # The trigger that is in use must be on, and all others off; their other features do not matter then.
         other_way = leftover.at.get("TriggerControlImplementation") != in_use.get("TriggerControlImplementation")
-        if other_way or idle != (name == "TriggerMode") or (name == "TriggerMode" and not camera.has_several(name)):
+        if other_way or idle != (name == "TriggerMode") or (name == "TriggerMode" and not _has_several(camera, name)):
             continue
         if not all(referee.writable(selector) for selector in leftover.at):
             continue
@@ -103,7 +103,7 @@ def _value(camera: Camera, kind: _Kind, name: str, at: dict[str, Number | str]) 
     if any(camera.kind(s) == "Enumeration" and entry not in camera.entries(s) for s, entry in at.items()):
         return None
     with camera.selecting(at):
-        if not camera.offers(name) or not camera.is_register(name):
+        if not camera.offers(name) or not _is_register(camera, name):
             return None
         if camera.kind(name) == "Enumeration":
             entries = [e for e in camera.entries(name) if e != kind.neutral]
@@ -112,3 +112,20 @@ def _value(camera: Camera, kind: _Kind, name: str, at: dict[str, Number | str]) 
             return kind.left
         low, high = camera.limits(name)
         return kind.left if low <= float(kind.left) <= high else None
+
+
+def _is_register(camera: Camera, name: str) -> bool:
+    """Whether a client can write a feature into a register of the camera."""
+    register = camera.features.register_of(name)
+    return register is not None and camera.features.description.text_of(register, "AccessMode") == "RW"
+
+
+def _has_several(camera: Camera, name: str) -> bool:
+    """Whether a feature has a value of its own for each setting of its selectors, which not all makers have."""
+    features, places = camera.features, set()
+    for k, at in enumerate(features.selections(name)):
+        with features.selecting(at):
+            register = features.register_of(name)
+            if register is not None:
+                places.add((features.address(register), k if register in features.banked else 0))
+    return len(places) > 1

@@ -135,23 +135,6 @@ class Camera(Device):
             low, high, _ = self.features.limits(name)
             return float(low), float(high)
 
-    def is_register(self, name: str) -> bool:
-        """Whether a client can write a feature into a register of the camera."""
-        with self.lock:
-            register = self.features.register_of(name)
-            return register is not None and self._model.text_of(register, "AccessMode") == "RW"
-
-    def has_several(self, name: str) -> bool:
-        """Whether a feature has a value of its own for each setting of its selectors, which not all makers have."""
-        places = set()
-        with self.lock:
-            for k, at in enumerate(self.features.selections(name)):
-                with self.features.selecting(at):
-                    register = self.features.register_of(name)
-                    if register is not None:
-                        places.add((self.features.address(register), k if register in self.features.banked else 0))
-        return len(places) > 1
-
     def offers(self, name: str) -> bool:
         """Whether the camera has a feature now."""
         with self.lock:

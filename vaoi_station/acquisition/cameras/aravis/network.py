@@ -161,11 +161,6 @@ def mtu_to(address: str) -> int:
         return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)
 
 
-def local_addresses() -> tuple[str, ...]:
-    """Return all IPv4 addresses of the network interfaces of this computer."""
-    return tuple(socket.inet_ntoa(port.address.to_bytes(4, "big")) for port in ports())
-
-
 def interface_of(local_address: str) -> str:
     """Return the name of the interface that has an address, else of one whose network contains it, else the address."""
     wanted, every = _as_int(socket.inet_aton(local_address)), ports()
