@@ -1,132 +1,23 @@
-"""Constants of `vaoi_station.parts.probability`, and figures of measured parts, from painted boards of known truth.
+"""Constants of `vaoi_station.parts.probability` that fit painted boards of known truth.
 
-`python -m tests.cases.parts_constants --good DIR … --bad DIR … [--boards N …] [--constants]`: recordings of
-shared/cases/film.py with `--parts`, stitched (`result.json` beside them). Prints the figures of docs/measured/parts.md;
-with `--constants` the constants that fit these boards.
+`python -m tests.cases.parts_constants DIR`: measures the choosing set of `tests.cases.parts_boards`, with 1 and 5 good
+boards each.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import math
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vaoi_station.library.recordings import open_recording
+from tests.cases.parts_proof import Measured, measured
 from vaoi_station.parts import probability
-from vaoi_station.parts.document import describe, scale_of
-from vaoi_station.parts.learned import TaughtBoard, parts_digest
-from vaoi_station.parts.measure import Evidence, Run, collect
-from vaoi_station.parts.models import Models
+from vaoi_station.parts.measure import Evidence
 
 Floats = NDArray[np.float64]
-
-
-class Measured(NamedTuple):
-    """The parts of one board with the truth, measured with some good boards."""
-
-    boards: int
-    truth: list[dict[str, Any]]
-    evidence: Evidence
-    scale: probability.Scale
-    parts: list[dict[str, Any]]
-
-
-def opened(case: Path) -> Run:
-    """Open a stitched recording."""
-    run = open_recording(case).with_result(case / "result.json")
-    assert run.board_type is not None
-    return Run(run.board_type, run.result, run.cameras, run.recording.head, lru_cache(96)(run.recording.frame))
-
-
-def measured(good: Sequence[Path], bad: Sequence[Path], counts: Sequence[int]) -> list[Measured]:
-    """Measure bad boards, each with the first of the good boards."""
-    taught = []
-    for path in good[: max(counts)]:
-        run = opened(path)
-        taught.append(
-            TaughtBoard.of_run(path.name, run.cut(run.board_type.components), parts_digest(run.board_type), "")
-        )
-    out = []
-    for count in counts:
-        models = Models(taught[:count])
-        for path in bad:
-            run = opened(path)
-            truth = json.loads((path / "truth.json").read_text())["parts"]
-            patches, evidence = collect(run, models, run.board_type.components)
-            parts = describe(patches, evidence)
-            addresses = [p.address for p in patches.parts]
-            out.append(Measured(
-                count, [truth[a] for a in addresses], evidence, scale_of(patches, evidence),
-                [parts[a] for a in addresses],
-            ))  # fmt: skip
-    return out
-
-
-def interval(k: int, n: int) -> str:
-    """Return k of n with the Wilson interval of 95 %."""
-    if not n:
-        return "0 of 0"
-    z, p = 1.96, k / n
-    middle, half = (
-        (p + z * z / (2 * n)) / (1 + z * z / n),
-        z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n),
-    )
-    return f"{k} of {n} ({100 * max(middle - half, 0):.2f} to {100 * min(middle + half, 1):.2f} %)"
-
-
-def figures(found: Sequence[Measured]) -> None:
-    """Print the figures of measured boards, by number of good boards."""
-    for boards in sorted({m.boards for m in found}):
-        pairs = [(t, p) for m in found if m.boards == boards for t, p in zip(m.truth, m.parts, strict=True)]
-        said = [(t["kind"], p["presence"], t, p) for t, p in pairs if p["presence"] is not None]
-        absent = [q for k, q, _, _ in said if k == "absent"]
-        good = [q for k, q, _, _ in said if k == "good"]
-        other = [q for k, q, _, _ in said if k not in ("good", "absent")]
-        marked = [(k, p["orientation"]) for k, _, t, p in said if t.get("marked") and p["orientation"]]
-        print(f"good boards {boards}: parts {len(pairs)}, cannot say {len(pairs) - len(said)}")
-        print("  absent found", interval(sum(q < 0.5 for q in absent), len(absent)))
-        print("  good marked absent", interval(sum(q < 0.5 for q in good), len(good)))
-        print("  other present marked absent", interval(sum(q < 0.5 for q in other), len(other)))
-        turned = [o.get("180", 0) > 0.5 for k, o in marked if k == "reversed"]
-        print("  reversed found", interval(sum(turned), len(turned)))
-        wrong = [o.get("180", 0) > 0.5 for k, o in marked if k in ("good", "shifted", "turned")]
-        print("  right way round called reversed", interval(sum(wrong), len(wrong)))
-        unmarked = [p["orientation"] is None for k, _, t, p in said if t.get("marked") is False]
-        print("  cannot say which way round, without marks", interval(sum(unmarked), len(unmarked)))
-        like = [p["alike"] < 0.5 for k, _, _, p in said if k == "exchanged"]
-        print("  exchanged unlike", interval(sum(like), len(like)))
-        print("  good unlike", interval(sum(p["alike"] < 0.5 for k, _, _, p in said if k == "good"), len(good)))
-        for kinds in (("good",), ("shifted", "turned")):
-            rows = [
-                (p["dx_mm"] - t["dx"], p["dy_mm"] - t["dy"], p["sigma_mm"],
-                 (p["turn_deg"] - t["turn_deg"] + 180) % 360 - 180, p["sigma_deg"])
-                for k, _, t, p in said if k in kinds and p["dx_mm"] is not None
-            ]  # fmt: skip
-            if rows:
-                e = np.array(rows)
-                z, turn = e[:, :2] / e[:, 2:3], e[:, 3] / e[:, 4]
-                print(
-                    f"  {' and '.join(kinds)}: {len(e)}, place rms {np.sqrt(np.mean(e[:, :2] ** 2)):.4f} mm, σ "
-                    f"{np.median(e[:, 2]):.4f}, error/σ {np.sqrt(np.mean(z**2)):.2f}, "
-                    f"beyond 4 {np.mean(np.abs(z) > 4):.2%}; "
-                    f"turn rms {np.sqrt(np.mean(e[:, 3] ** 2)):.2f}°, error/σ {np.sqrt(np.mean(turn**2)):.2f}, "
-                    f"beyond 4 {np.mean(np.abs(turn) > 4):.2%}"
-                )
-        p = np.array([q for _, q, _, _ in said])
-        y = np.array([k != "absent" for k, _, _, _ in said])
-        for low in np.arange(0, 1, 0.1):
-            here = (p >= low) & (p < low + 0.1 + (low > 0.85))
-            if here.any():
-                print(
-                    f"  presence {low:.1f}: {here.sum()} parts, stated {p[here].mean():.3f}, true {y[here].mean():.3f}"
-                )
 
 
 def logistic_fit(features: Floats, true: Floats, weight: Floats) -> Floats:
@@ -196,18 +87,13 @@ def sigma_constants(found: Sequence[Measured]) -> None:
 
 
 def main() -> None:
-    """Print figures or constants."""
+    """Print the constants."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--good", nargs="+", type=Path, required=True)
-    parser.add_argument("--bad", nargs="+", type=Path, required=True)
-    parser.add_argument("--boards", nargs="+", type=int, default=[1, 5])
-    parser.add_argument("--constants", action="store_true")
-    given = parser.parse_args()
-    found = measured(given.good, given.bad, given.boards)
-    figures(found)
-    if given.constants:
-        constants(found)
-        sigma_constants(found)
+    parser.add_argument("boards", type=Path)
+    families = sorted((parser.parse_args().boards / "choosing").iterdir())
+    found = [m for family in families for m in measured(family, (1, 5))]
+    constants(found)
+    sigma_constants(found)
 
 
 if __name__ == "__main__":
