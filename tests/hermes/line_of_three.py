@@ -287,7 +287,8 @@ class Downstream(End):
         # Else it stands between the machines, was not started, or the connection has ended before it moved.
         session = self.session
         same = (generation, transfer) == (self.generation, self.transfer)
-        if same and what == "3" and session is not None and session.moving:
+        runs = self.line.started == offered.values["BoardId"]
+        if same and runs and what == "3" and session is not None and session.moving:
             self.line.leaves(offered)
 
     def stop(self, generation: int, transfer: int, what: str) -> None:
@@ -321,9 +322,14 @@ class OfStation(End):
         self.line.lane.connected(self.side, self.session, self.line.world.now_s)
 
     def take(self, message: Message) -> None:
+        if self.side == "downstream":
+            # The belt runs from StartTransport to StopTransport, or until the station misses its neighbour.
+            self.line.started = message.get("BoardId") if message.tag == "StartTransport" else None
         self.line.lane.received(self.side, message, self.line.world.now_s)
 
     def down(self) -> None:
+        if self.side == "downstream":
+            self.line.started = None
         self.line.lane.lost(self.side, "cut", self.line.world.now_s)
 
 
@@ -345,7 +351,8 @@ class Line:
         self.score, self._boards, self._made, self._runs = Score(), boards, 0, 0
         self.behind: list[Board] = []
         """Boards behind the cameras, the first one first; a board that the next machine took is not there."""
-        self.under_way = 0
+        self.started: str | None = None
+        """The board that the belt moves to the next machine."""
         self._moved_s = 0.0
         self.orders = QueuedOrders(world)
         ends: dict[Side, End] = {"upstream": OfStation("upstream", self), "downstream": OfStation("downstream", self)}
