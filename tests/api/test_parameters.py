@@ -47,7 +47,7 @@ def test_names_of_board_types_cannot_leave_their_directory(value: str, expected:
         (
             "POST",
             "/api/v1/station/arm?type=demo-board",
-            "it has allow_lost_cameras, board_id, board_type, job_id, passing, runs",
+            "it has allow_lost_cameras, board_id, board_type, job_id, orders, passing, runs",
         ),
         ("GET", "/healthz?full=1", "it has none"),
     ],
