@@ -257,7 +257,7 @@ def test_a_borrower_leaves_the_file_and_sees_that_the_owner_closed_it(path: Path
     reader.close()
 
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "internals" / "ring.md").read_text()
+DOCUMENT = (Path(__file__).parents[2] / "docs" / "reference" / "ring.md").read_text()
 
 
 def test_the_c_program_reads_what_the_station_wrote(tmp_path: Path) -> None:

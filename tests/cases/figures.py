@@ -20,7 +20,7 @@ from tests.needs import FILMS
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "docs" / "measured" / "figures.json"
-DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "measured" / "accuracy.md", ROOT / "docs" / "measured" / "methods.md")
+DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "measured" / "accuracy.md", ROOT / "docs" / "how-to" / "stitch.md")
 CASES = {
     "paper-1": "the paper's experiment, one camera at 12 px/mm (0.53 to 1.23 mm there, on real hardware)",
     "paper-2": "belt speed varies by 2 % per row",

@@ -22,7 +22,7 @@ from vaoi_station.demo.report import (
 )
 from vaoi_station.simulation import Passage, Twin, read_scenario, scenario_path
 
-GUIDE = Path(__file__).resolve().parents[2] / "docs" / "engineering" / "demo.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "tutorials" / "demo.md"
 RUN: dict[str, Any] = {
     "id": "r1", "board_type": "small", "verdict": "ok", "reasons": [], "cameras": 2, "rows": 6, "frames": [1, 2],
     "counts": {"ok": 12, "incomplete": 0, "missing": 0},

@@ -1,4 +1,4 @@
-"""docs/engineering/optics.md: its table of equations, and the output that it shows."""
+"""docs/how-to/optics.md: its table of equations, and the output that it shows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vaoi_station import optics
 from vaoi_station.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "engineering" / "optics.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "how-to" / "optics.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\|(.*)\| `(\w+)` \| `(tests/[\w/]+\.py)::(\w+)` \|$", TEXT, re.MULTILINE)
 EXAMPLES = re.findall(r"^```console\n\$ ((?:[^\n]*\\\n)*[^\n]*)\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
 

@@ -89,7 +89,7 @@ def test_service_has_what_aravis_and_numba_need() -> None:
 
 def test_alerts_use_metrics_that_exist() -> None:
     rules = (DEPLOY / "monitoring" / "alerts.yml").read_text(encoding="utf-8")
-    page = (DEPLOY.parent / "docs" / "internals" / "metrics.md").read_text(encoding="utf-8")
+    page = (DEPLOY.parent / "docs" / "reference" / "metrics.md").read_text(encoding="utf-8")
     documented = set(re.findall(r"`(vaoi_[a-z_]+)", page))
     named = {name.removesuffix("_bucket") for name in re.findall(r"\bvaoi_[a-z_]+", rules)}
     assert named

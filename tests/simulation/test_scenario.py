@@ -9,7 +9,7 @@ from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.simulation import Scenario, find_scenario, read_scenario, scenario_path
 from vaoi_station.simulation.scenario import Section
 
-DOC = Path(__file__).parents[2] / "docs" / "engineering" / "twin.md"
+DOC = Path(__file__).parents[2] / "docs" / "reference" / "twin.md"
 
 
 @pytest.mark.parametrize("name", ["demo", "light", "paper", "small"])
@@ -79,4 +79,4 @@ def test_every_key_is_documented() -> None:
         )
         keys = [k for k in model.model_fields if not any(t.startswith(f"{table}.{k}") for t in tables)]
         missing = [key for key in keys if f"\n| `{key}` |" not in chapter]
-        assert not missing, f"docs/engineering/twin.md: [{table}] lacks {missing}"
+        assert not missing, f"docs/reference/twin.md: [{table}] lacks {missing}"

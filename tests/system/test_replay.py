@@ -179,7 +179,7 @@ def test_frames_and_pictures_of_a_run(
 
 
 def in_memory(path: str, run: RunDetail, slot: int) -> NDArray[Any]:
-    """Read a frame from the ring's file as docs/internals/ring.md describes it, with the check of the generation."""
+    """Read a frame from the ring's file as docs/reference/ring.md describes it, with the check of the generation."""
     header = np.fromfile(path, "<u8", 13)
     size_bytes, bays, first = int(header[8]), int(header[10]), int(header[12])
     assert run.bay is not None

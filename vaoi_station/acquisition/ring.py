@@ -1,4 +1,4 @@
-"""The ring: frames in shared memory, written by cameras and read in place by other processes (docs/internals/ring.md).
+"""The ring: frames in shared memory, written by cameras and read in place by other processes (docs/reference/ring.md).
 
     header page │ camera table │ bay table │ slot table │ bay 0: camera 0: slot 0, slot 1 … │ bay 1 …
 

@@ -227,7 +227,7 @@ def judge_status(status: Status) -> Finding:
     message = f"{state}, the light barrier is {barrier}"
     if status.state == State.SAFE:
         reason = Fault(status.fault).name.lower() if status.fault in set(Fault) else str(status.fault)
-        action = "Start the station, which disarms it; find the cause in docs/internals/acquisition.md."
+        action = "Start the station, which disarms it; find the cause in docs/explanation/acquisition.md."
         return warning(
             "controller-safe", f"{message}; it has entered its safe state ({reason}).", action, "state", **figures
         )

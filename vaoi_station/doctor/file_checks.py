@@ -34,7 +34,7 @@ def calibration(context: CheckContext) -> Iterator[Finding]:
     except VaoiError as error:
         first = (
             "vaoi record --config station.toml --out board-film --still; vaoi calibrate board-film: "
-            "docs/engineering/calibration.md"
+            "docs/how-to/calibration.md"
         )
         yield fault("calibration-unusable", error.message, error.action or first, path=str(path))
         return
@@ -81,7 +81,7 @@ def board_types(context: CheckContext) -> Iterator[Finding]:
 def flat_fields(context: CheckContext) -> Iterator[Finding]:
     """Check that the flat fields fit the cameras and the lights of station and board types, and are not too old."""
     config = context.config
-    again = "Film a white target and darkness, then vaoi flatfield: docs/engineering/photometry.md."
+    again = "Film a white target and darkness, then vaoi flatfield: docs/how-to/photometry.md."
     if config.flat_fields is None:
         yield not_applicable("no flat_fields are configured")
         return
@@ -139,7 +139,7 @@ def programs(context: CheckContext) -> Iterator[Finding]:
             filming_plan(config, board_type, px_per_mm)
         except InputError as error:
             wrong = True
-            action = error.action or "Correct it; docs/engineering/light.md describes programs and their limits."
+            action = error.action or "Correct it; docs/how-to/light.md describes programs and their limits."
             yield fault("program-unusable", error.message, action, "station" if board_type is None else board_type.name)
     if not wrong:
         station = f"{len(config.program)} steps in station.toml" if config.program else "none in station.toml"

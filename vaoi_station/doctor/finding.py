@@ -92,7 +92,7 @@ class Report:
         return {level: sum(f.level is level for f in self.findings) for level in Level}
 
     def document(self) -> dict[str, Any]:
-        """Return the report as JSON data, as docs/engineering/doctor.md describes it."""
+        """Return the report as JSON data, as docs/how-to/doctor.md describes it."""
         return {
             "format": FORMAT,
             "version": VERSION,

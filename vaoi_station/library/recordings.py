@@ -95,7 +95,7 @@ class RecordedRun:
                     yield camera, row, pixels
 
     def stitch(self, method: Method = "auto") -> StitchedRun:
-        """Stitch the recording; docs/measured/methods.md describes the methods. InputError: it needs a reference."""
+        """Stitch the recording; docs/how-to/stitch.md describes the methods. InputError: it needs a reference."""
         if method not in METHODS:
             raise InputError(f"method is {method!r}, but must be one of {', '.join(METHODS)}.")
         # The paper's method replaces the station's stitching below, and ignores the kind of evidence, which is part of

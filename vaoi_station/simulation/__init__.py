@@ -1,6 +1,6 @@
 """The digital twin: simulates board, line and cameras from one scenario file, with faults and with known truth.
 
-Each frame is a pure function of time and seed. `docs/engineering/twin.md` describes what is modelled and what is not.
+Each frame is a pure function of time and seed. `docs/reference/twin.md` describes what is modelled and what is not.
 """
 
 from vaoi_station.simulation.scenario import Scenario

@@ -1,6 +1,6 @@
 """The tables of a scenario file: everything that the twin simulates, including faults.
 
-`docs/engineering/twin.md` describes every key. All keys have defaults, so an empty file is a valid scenario. All random
+`docs/reference/twin.md` describes every key. All keys have defaults, so an empty file is a valid scenario. All random
 numbers depend only on the seeds.
 """
 

@@ -1,4 +1,4 @@
-"""docs/api/changes.md lists every operation with its version; what was released stays as programs know it."""
+"""docs/reference/changes.md lists every operation with its version; what was released stays as programs know it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.api.released.interface import interface_of
 from vaoi_station.version import __version__
 
 HERE = Path(__file__).parent
-GUIDE = HERE.parents[2] / "docs" / "api" / "changes.md"
+GUIDE = HERE.parents[2] / "docs" / "reference" / "changes.md"
 RELEASES = sorted(path.stem for path in HERE.glob("*.json"))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from tests.needs import need
 
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "internals" / "metrics.md"
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "reference" / "metrics.md"
 SAMPLE = re.compile(r"^([a-z_:][a-z0-9_:]*)(?:\{(.*)\})? (\S+)$")
 
 

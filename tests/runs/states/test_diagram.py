@@ -10,7 +10,7 @@ import pytest
 
 from vaoi_station.runs.states.tables import RUN, STATION, Table
 
-PAGE = Path(__file__).parents[3] / "docs" / "internals" / "runs.md"
+PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "runs.md"
 
 
 @pytest.mark.parametrize("table", [STATION, RUN], ids=lambda table: table.what)

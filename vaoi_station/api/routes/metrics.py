@@ -1,4 +1,4 @@
-"""`GET /metrics`: figures for Prometheus, in its text format, version 0.0.4 (docs/internals/metrics.md lists them)."""
+"""`GET /metrics`: figures for Prometheus, in its text format, version 0.0.4 (docs/reference/metrics.md lists them)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from vaoi_station.model import Reason
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import EXPIRED_DAYS, changed_ns
 
-_AGAIN = "Film a white target and darkness, and run 'vaoi flatfield' (docs/engineering/photometry.md)."
+_AGAIN = "Film a white target and darkness, and run 'vaoi flatfield' (docs/how-to/photometry.md)."
 
 
 def flat_field_warnings(config: StationConfig, armed: Sequence[str] = ()) -> tuple[Reason, ...]:

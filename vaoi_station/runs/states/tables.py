@@ -2,7 +2,7 @@
 
 A table maps (state, step) to the next state. A step is what happens: a request, or a report of a process. A pair that
 is not in the table is illegal: it raises `StateError` and does not change the state. The diagrams in
-`docs/internals/runs.md` are drawn from these tables.
+`docs/explanation/runs.md` are drawn from these tables.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ _PUSHED_SHARE, _PUSHED_PX = 0.07, 0.1
 
 Together they are 0.03 px rms, as `STILL_PX`. With a smaller share or width, errors under pushed cameras would be too
 long in units of σ; with larger ones, σ under cameras that have not moved would be too large
-(docs/measured/uncertainty.md)."""
+(docs/explanation/uncertainty.md)."""
 _BLIND_PX, _PUSHED_BLIND_PX = 0.2, 0.35
 """Standard deviation, px, above which links do not show where a camera lies across its neighbours' seams, and the width
 of a push that they then would not show.

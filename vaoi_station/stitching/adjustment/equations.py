@@ -35,7 +35,7 @@ _SINGLE_PX, _COMMON_PX = 0.002, 0.004
 """Standard deviations of two errors of a detection that `sigma_mm` does not include.
 
 `_SINGLE_PX` is independent for each detection. `_COMMON_PX` is common to all detections of one fiducial (artwork,
-light) and does not average out (docs/measured/uncertainty.md)."""
+light) and does not average out (docs/explanation/uncertainty.md)."""
 _SCALE_SIGMA = 3e-4  # σ of the relative size of a board against its CAD data: boards shrink and stretch
 _KNEE, _CUT = 2.0, 6.0
 """Residuals beyond `_KNEE` standard deviations lose weight (Huber). Fixture marks and reference points, of which there

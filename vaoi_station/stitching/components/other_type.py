@@ -46,7 +46,7 @@ _DIGITS = {"mm": 1, "mil": 0, "inch": 2}
 """Number of decimals of a place in each unit of CAD data."""
 _LEAST_PLACES, _LEAST_RAISED_SHARE, _SUNK = 3, 0.03, 1 / 3
 """Least number of places, least share of corners on the bare board that stand above it, and largest ratio of those that
-seem to lie below it. Measured: 0.9 % on boards of their own type, 8 % on others (docs/measured/uncertainty.md)."""
+seem to lie below it. Measured: 0.9 % on boards of their own type, 8 % on others (docs/explanation/uncertainty.md)."""
 
 
 class Likeness(NamedTuple):

@@ -34,7 +34,7 @@ _COMMON_SIGMAS, _LEAST_LOCAL = 3.0, 3
 """Number of standard deviations from which on a displacement common to local fiducials counts, and least number of
 these fiducials."""
 _COMMON_PX = 0.004
-"""Error that all detections of a mark have in common (docs/measured/uncertainty.md)."""
+"""Error that all detections of a mark have in common (docs/explanation/uncertainty.md)."""
 
 
 @dataclass(frozen=True, eq=False)

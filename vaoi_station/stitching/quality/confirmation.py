@@ -54,7 +54,7 @@ _EDGE_MM, _BEYOND_MM = 0.15, 0.6
 """Largest distance of the edge from its place by C, and distance from it at which its step has ended."""
 _LEAST_EDGE, _STANDS_OUT = 8.0, 3.0
 """Least step of grey level at the edge, and least ratio to all other steps within 3.5 mm. Measured: 24 to 52 grey
-levels and 6.5 to 7.2 times in sound frames (docs/measured/uncertainty.md)."""
+levels and 6.5 to 7.2 times in sound frames (docs/explanation/uncertainty.md)."""
 _ACROSS, _LEAST_PIECES = 0.9, 2
 """Least cosine of the angle between the outward normal of a piece and the motion, and least number of such pieces."""
 _LEAST_MOVED_PX, _LEAST_SAME, _MOST_MOVED = 4 * STATIC_PX, 5, 0.5

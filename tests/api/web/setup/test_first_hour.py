@@ -1,4 +1,4 @@
-"""The engineer's first hour, as docs/page/first-hour.md has it."""
+"""The engineer's first hour, as docs/tutorials/first-hour.md has it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.run_ids import utc
 
 pytestmark = pytest.mark.browser
-GUIDE = Path(__file__).parents[4] / "docs" / "page" / "first-hour.md"
+GUIDE = Path(__file__).parents[4] / "docs" / "tutorials" / "first-hour.md"
 STEPS = re.findall(r"^\| \d+ \| .+ \| (.+) \|$", GUIDE.read_text(encoding="utf-8"), re.MULTILINE)
 REPORT = {
     "created": "2026-01-01T00:00:00Z",
