@@ -1,4 +1,4 @@
-"""docs/how-to/optics.md: its table of equations, and the output that it shows."""
+"""The pages on optics: the table of equations, and the output that they show."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from vaoi_station import optics
 from vaoi_station.cli import app
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "docs" / "how-to" / "optics.md").read_text(encoding="utf-8")
+TEXT = "\n".join(
+    (ROOT / "docs" / folder / "optics.md").read_text(encoding="utf-8") for folder in ("explanation", "how-to")
+)
 ROWS = re.findall(r"^\|(.*)\| `(\w+)` \| `(tests/[\w/]+\.py)::(\w+)` \|$", TEXT, re.MULTILINE)
 EXAMPLES = re.findall(r"^```console\n\$ ((?:[^\n]*\\\n)*[^\n]*)\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
 
@@ -46,7 +48,7 @@ def test_the_docstring_of_a_numbered_function_names_its_equation(number: int) ->
     assert f"equation ({number})" in (getattr(optics, function).__doc__ or "")
 
 
-def test_both_examples_of_the_page_are_tested() -> None:
+def test_both_examples_of_the_pages_are_tested() -> None:
     assert EXAMPLES[0][0] == "vaoi plan --example paper"
     assert len(EXAMPLES) == TEXT.count("```console") == 2
 
