@@ -24,7 +24,7 @@ def test_a_browser_waits_with_the_station(browser: Browser, station: Any, serve:
             waiting.report(DeviceError("There is no memory.", action="Lower ring.runs.", code="ring-too-large"))
             page.goto(f"http://127.0.0.1:{port}/")
             expect(page.locator("h1").first).to_have_text("Not started")
-            expect(page.get_by_text("Baugruppen zurückhalten. Verwalter rufen.")).to_be_visible()
+            expect(page.get_by_text("Baugruppen zurückhalten. Administrator rufen.")).to_be_visible()
             expect(page.locator(".cause")).to_have_text("There is no memory. Lower ring.runs.")
             assert page.evaluate("[...document.querySelectorAll('h1, p')].every((e) => e.scrollWidth <= e.clientWidth)")
             cause = page.locator(".cause").bounding_box()

@@ -38,7 +38,7 @@ _PAGE = """<!doctype html>
 <h1>Not started</h1>
 <p>Hold boards back. Call the administrator.</p>
 <h1 lang="de">Nicht gestartet</h1>
-<p lang="de">Baugruppen zurückhalten. Verwalter rufen.</p>
+<p lang="de">Baugruppen zurückhalten. Administrator rufen.</p>
 <h2>{code}</h2>
 <p class="cause">{cause}</p>
 </main>
