@@ -215,6 +215,10 @@ def test_a_good_board_is_one_of_the_station_that_imports_it(
         with pytest.raises(InputError, match=said):
             import_into_history(wrong, other.config_path)
         wrong.unlink()
+    outside = rewritten(package, run={"board_type": str(other.config.data.parent / "outside")})
+    with pytest.raises(InputError, match="or not of board type"):
+        import_into_history(outside, other.config_path)
+    assert not (other.config.data.parent / "outside").exists()
     assert not there.exists()
     imported = import_into_history(package, other.config_path)
     assert (imported.good, imported.with_frames) == (True, True)

@@ -32,6 +32,7 @@ ENDING = ".parts"
 _OWN_SHARE = 0.5
 """Least share of the parts of a taught board that a board type must have, if it is to be compared with it."""
 _MOST_CLASSES, _MOST_PARTS, _MOST_MM = 16, 20_000, 1000.0
+_MOST_HEAD_BYTES = 16 * 2**20
 """Limits of what a file may hold: number of view classes and of parts, heights."""
 
 
@@ -119,6 +120,7 @@ def read_taught_board(path: Path) -> TaughtBoard:
     """Read the file of a taught board. Raise InputError if it is not one, or damaged."""
     try:
         with zipfile.ZipFile(path) as file:
+            _within("the size of head.json", file.getinfo("head.json").file_size, 0, _MOST_HEAD_BYTES)
             head = json.loads(file.read("head.json"))
             if head["format"] != FORMAT or head["version"] != VERSION:
                 raise InputError(

@@ -316,6 +316,8 @@ class Models:
             for addresses, values in zip(board.addresses, board.heights_mm, strict=True):
                 for address, value in zip(addresses, values, strict=True):
                     heights.setdefault(address, []).append(value)
+        # A board that states no height says nothing of the plane; its heights are those of parallax on the board's.
+        heights = {a: [one for one in v if one[0] > 0] or v for a, v in heights.items()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # parts without any height have none here
             middle = {a: np.nanmedian(np.stack(v), 0) for a, v in heights.items()}

@@ -273,7 +273,7 @@ class _Unpacked:
             None if parts is None else self._stored(parts, PARTS_FILE, exclude_none=True),
             identity,
             configuration,
-            self._good(detail.id, of_type) if self._has(GOOD_FILE) else None,
+            self._good(detail, of_type) if self._has(GOOD_FILE) else None,
             size,
         )
 
@@ -285,7 +285,7 @@ class _Unpacked:
         marked = in_state(detail, RunState.GONE).model_copy(update=changed)
         return identified(marked, RunVerdict(marked.verdict, marked.reasons), identity)
 
-    def _good(self, run: str, board_type: BoardType) -> bytes:
+    def _good(self, detail: RunDetail, board_type: BoardType) -> bytes:
         """Return what is kept of a good board; it is one of later comparisons, and must be of this run and type."""
         path = self.folder / GOOD_FILE
         try:
@@ -293,7 +293,11 @@ class _Unpacked:
         except InputError as error:
             named = error.message.replace(str(path), f"{self.package}: {GOOD_FILE}")
             raise InputError(named, action=_AGAIN) from error
-        if board.name != run or not board.is_of(board_type) or not re.fullmatch(STORED_NAME, board_type.name):
+        if (
+            (board.name, board_type.name) != (detail.id, detail.board_type)
+            or not board.is_of(board_type)
+            or not re.fullmatch(STORED_NAME, board_type.name)
+        ):
             raise InputError(
                 f"{self.package}: its {GOOD_FILE} is of run {board.name!r}, or not of board type {board_type.name!r}.",
                 action=_AGAIN,

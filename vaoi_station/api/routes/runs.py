@@ -219,7 +219,7 @@ def router(services: Services) -> APIRouter:
 
         def page() -> PartPage:
             found, board_type = coordinator.parts.views(run, ref), coordinator.run(run).board_type
-            address, measure = quote(request.url.path), coordinator.parts.measure_of(run, ref)
+            address, measure = quote(request.scope["path"]), coordinator.parts.measure_of(run, ref)
             pictures = tuple(
                 PartPictures(
                     light=v.light,

@@ -210,10 +210,12 @@ class MeasuredParts:
             directory.rename(_aside(directory))
 
     def bring_back(self, board_type: str) -> None:
-        """Bring the good boards of a board type back that is restored, if it has none."""
+        """Bring the good boards of a board type back that is restored, beside those that were taught meanwhile."""
         directory = self._directory / board_type
-        if _aside(directory).is_dir() and not directory.exists():
-            _aside(directory).rename(directory)
+        for path in sorted(_aside(directory).glob(f"*{ENDING}")):
+            directory.mkdir(parents=True, exist_ok=True)
+            if not (directory / path.name).exists():
+                path.rename(directory / path.name)
 
     def good(self, board_type: str) -> GoodBoards:
         """Return the good boards of a board type."""
@@ -277,16 +279,16 @@ class MeasuredParts:
         run, good = finished.detail.id, self._good_files(finished.board_type.name)
         job = PartsJob(**_of(finished, place), good=good, priority=priority)
         content: bytes = self._render(job, "parts")
-        if not good:
-            return self._by_heights.put(run, content)
+        if not from_json(content)["good_boards"]:
+            return self._by_heights.put(f"{run} {good}", content)
         self._archive.store.save_parts(run, content.decode())
         return self._documents.put(run, content)
 
     def _known(self, run: str) -> bytes | None:
-        """Return the measures of a run that hold: those with good boards, or others as long as there are none."""
-        if (found := self._documents.get(run)) is not None or (found := self._by_heights.get(run)) is None:
+        """Return the measures of a run that hold: those with good boards, or by heights until a good board comes."""
+        if (found := self._documents.get(run)) is not None:
             return found
-        return None if self._good_files(self._archive.get(run).board_type.name) else found
+        return self._by_heights.get(f"{run} {self._good_files(self._archive.get(run).board_type.name)}")
 
     def _measure_after(self, run: str) -> None:
         """Measure the parts of a run that has just ended, if it can have measures."""

@@ -138,7 +138,8 @@ class TeachJob(_PartsOfRun):
         # Read before anything is kept: if one is damaged, the board is not kept either.
         others = []
         for path, changed_ns in self.good:
-            others.append(_board(path, changed_ns))
+            if (other := _board(path, changed_ns)).is_of(self.board_type):
+                others.append(other)
             yield
         digest, pieces, tops = parts_digest(self.board_type), [], _models(tuple(others)).heights_mm
         for some in _in_steps(self.board_type):

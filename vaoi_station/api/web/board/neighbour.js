@@ -43,6 +43,7 @@ export class Neighbour extends View {
   async show(run, part) {
     if (run === this.#run && part === this.#part) return;
     [this.#run, this.#part] = [run, part];
+    this.part("level").replaceChildren(); // a limit is set for the part of which the form speaks
     const found = await rest.measuredPart(run.id, part.address).catch(() => null); // without it, all else of the part is shown
     if (run !== this.#run || part !== this.#part) return; // overtaken by a later choice
     this.root.hidden = !found;
@@ -82,9 +83,10 @@ export class Neighbour extends View {
   // Check limits with the one of the form, or set them; both say what it would have marked. An empty value is no limit.
   async #try(send, done = "") {
     const [type, name, level, value] = [this.#run.board_type, this.part("limited").value, this.part("level").value, this.part("limit").value];
+    const key = { parts: this.#part.address, packages: this.part("level").dataset.package }[level];
+    if (!level) return;
     try {
       const limits = await rest.limits(type);
-      const key = { parts: this.#part.address, packages: this.part("level").dataset.package }[level];
       const group = key ? (limits[level] ??= {}) : limits;
       group[key ?? level] = { ...group[key ?? level], [name]: value === "" ? null : Number(value) };
       const found = await send(type, limits);

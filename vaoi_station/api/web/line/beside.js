@@ -37,10 +37,11 @@ export class Beside extends View {
   async showBoard(run) {
     if (!run || !WIDE.matches) return;
     const other = run.id !== this.#run?.id;
+    const first = !this.#run; // of later boards the event "parts" says when they are measured
     if (other) this.#parts = [];
     this.#run = run;
     this.#show();
-    if (other && run.verdict !== "failed") await rest.unattended(this.measured(run.id));
+    if (first && run.verdict !== "failed") rest.unattended(this.measured(run.id)); // not awaited: the state must not wait for measures
   }
 
   // The parts of a run are measured: how many are in doubt. Without good boards there is nothing to ask for.
