@@ -289,3 +289,47 @@ def test_a_board_that_may_be_a_bad_one_passes_as_bad_until_the_bad_one_is_seen()
     played.film("run-3")
     assert [board.values["FailedBoard"] for board in played.lane.waiting] == ["2", "2", "0"]
     assert [board.announced for board in played.lane.waiting] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("after", "leaves"),
+    [
+        (None, ["run-1", "run-2", None]),
+        ("run-1", ["run-1", None, "run-2"]),
+        ("run that has ended", [None, "run-1", "run-2"]),
+    ],
+)
+def test_a_board_without_a_run_leaves_behind_the_board_that_it_followed(
+    after: str | None, leaves: list[str | None]
+) -> None:
+    played = Played(places=5)
+    for run in ("run-1", "run-2"):
+        played.lane.run_began(run, 0.0)
+    played.lane.run_ended(None, 1.0, after)
+    for run in ("run-1", "run-2"):
+        played.lane.run_ended(run, 2.0)
+    assert [board.run for board in played.lane.waiting] == leaves
+
+
+def test_of_two_boards_with_one_id_the_second_stays_bad() -> None:
+    played = Played(places=5)
+    for side in ROLES:
+        played.connect(side)
+    for run, failed in (("run-1", 1), ("run-2", 2)):
+        played.comes_in("b1", FailedBoard=failed)
+        played.film(run)
+    assert [(b.announced, b.values["FailedBoard"]) for b in played.lane.waiting] == [(True, "1"), (False, "2")]
+
+
+def test_what_is_kept_has_boards_that_are_filmed_and_doubts_the_one_that_leaves() -> None:
+    played = Played(places=5)
+    played.connect("downstream")
+    played.film("run-1")
+    played.lane.run_began("run-2", 0.0)
+    board = played.lane.waiting[0].board_id
+    played.take("downstream", "MachineReady", FailedBoard=0)
+    played.take("downstream", "StartTransport", BoardId=board)
+    assert [(b.run, b.announced, b.doubtful) for b in played.lane.to_keep()] == [
+        ("run-1", False, True),
+        ("run-2", False, False),
+    ]

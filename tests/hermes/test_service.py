@@ -151,6 +151,19 @@ def test_boards_behind_the_cameras_survive_a_restart(tmp_path: Path, port: int) 
         assert peer.next("BoardAvailable").get("BoardId") == kept[0]
 
 
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_board_that_is_filmed_as_the_station_ends_stands_behind_the_cameras_then(
+    tmp_path: Path, port: int, ended: bool
+) -> None:
+    with PlayedStation(tmp_path, listen=f"127.0.0.1:{port}").running() as before:
+        before.events.add("run", "A board is being filmed.", state="filming", run="r1")
+        wait_for(lambda: before.service._lane.passing == ["r1"])
+        if ended:
+            before.events.add("run", "Done.", state="ready", run="r1")
+    with PlayedStation(tmp_path, listen=f"127.0.0.1:{port}").running() as after:
+        wait_for(lambda: [board.run for board in after.service.status().boards] == ["r1"])
+
+
 def test_a_board_can_be_taken_out_by_hand(station: PlayedStation) -> None:
     station.film()
     wait_for(lambda: len(station.service.status().boards) == 1)

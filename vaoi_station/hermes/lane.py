@@ -128,8 +128,8 @@ class Lane:
     """The connections whose neighbours have said who they are."""
     waiting: deque[Inside] = field(default_factory=deque)
     """The boards behind the cameras, the next one to leave first."""
-    passing: set[str] = field(default_factory=set)
-    """The runs whose boards are being filmed or stitched."""
+    passing: list[str] = field(default_factory=list)
+    """The runs whose boards are being filmed or stitched, in the order of their boards; "": a board without a run."""
     held: tuple[Reason, ...] = ()
     """Why the upstream neighbour is not asked for the next board."""
     _started_s: dict[Side, float] = field(default_factory=dict)
@@ -137,6 +137,11 @@ class Lane:
     _offered: Message | None = None
     _came: deque[Message] = field(default_factory=lambda: deque(maxlen=4))
     """The latest boards whose transport began and that no run has shown for certain."""
+
+    @property
+    def leaving(self) -> bool:
+        """Whether the first board is on its way to the next machine."""
+        return "downstream" in self._started_s
 
     @property
     def passes_on(self) -> bool:
@@ -258,15 +263,32 @@ class Lane:
 
     def run_began(self, run: str, now_s: float) -> None:
         """Take that a board met the barrier."""
-        self.passing.add(run)
+        self.passing.append(run)
         session = self.sessions.get("downstream")
         if session is not None and session.state in (State.IDLE, State.READY):
             self.send("downstream", self._board_of(run).message("BoardForecast"))
         self.decide(now_s)
 
-    def run_ended(self, run: str | None, now_s: float) -> None:
-        """Take that a board is behind the cameras and its run has ended; None: it passed without a run."""
-        self.passing.discard(run or "")
+    def run_ended(self, run: str | None, now_s: float, after: str | None = None) -> None:
+        """Take that a board is behind the cameras and its run has ended.
+
+        None: it passed without a run, behind all boards so far or behind that of run `after`, which leave before it.
+        """
+        if run is None:
+            # A run that is not here any more has ended, so that its board is in front of all others.
+            place = len(self.passing) if after is None else 0
+            self.passing.insert(self.passing.index(after) + 1 if after in self.passing else place, "")
+        else:
+            if run in self.passing:
+                self.passing.remove(run)
+            self._behind(run)
+        while self.passing and not self.passing[0]:
+            self.passing.pop(0)
+            self._behind(None)
+        self.decide(now_s)
+
+    def _behind(self, run: str | None) -> None:
+        """Take the next board that stands behind the cameras."""
         board = self._board_of(run)
         if board.announced:
             self._forget(board.board_id)
@@ -279,7 +301,6 @@ class Lane:
             text = f"Board {board.board_id} is forgotten: {MOST_WAITING} others wait for the next machine."
             action = "If boards leave without it, take hermes.listen out of station.toml; else see why it takes none."
             self.publish("trouble", text, code="boards-wait", action=action)
-        self.decide(now_s)
 
     def _board_of(self, run: str | None) -> Inside:
         """Return what is known of the board of a run; a board whose id is not certain gets one of this station."""
@@ -291,9 +312,22 @@ class Lane:
             )
         elif known is not None and isinstance(known.details, Message):
             return Inside(known.board_id, known.details.board(), known.details.parts, run, announced=True)
+        return self._own(run, known)
+
+    def to_keep(self) -> tuple[Inside, ...]:
+        """Return the boards that stand behind the cameras if the station ends now, as far as their ids are certain."""
+        boards = list(self.waiting)
+        if boards and self.leaving:
+            boards[0] = replace(boards[0], doubtful=True)
+        asked = ((run, self.orders.board_of_run(run) if run else None) for run in self.passing)
+        return (*boards, *(self._own(run or None, known) for run, known in asked))
+
+    def _own(self, run: str | None, known: LineBoard | None) -> Inside:
+        """Return a board with an id of the station."""
         own = str(uuid.uuid5(_OWN_IDS, f"{self.machine}/{run}") if run is not None else uuid.uuid4())
         # It may be any of those that came: if one of them is bad, it must not pass as one that may be good.
-        failed = "2" if any(came.get("FailedBoard") == "2" for came in self._came) else "0"
+        bad = (known is not None and known.failed == "bad") or any(c.get("FailedBoard") == "2" for c in self._came)
+        failed = "2" if bad else "0"
         values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": failed, "FlippedBoard": "0"}
         return Inside(own, values, {}, run, announced=False)
 

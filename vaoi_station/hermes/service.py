@@ -189,7 +189,8 @@ class HermesService:
         self._last_event = events.last
         self._stopping = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._saved: tuple[Inside, ...] = ()
+        self._saved: tuple[tuple[Inside, ...], tuple[str, ...], bool] = ((), (), False)
+        """The state of the lane when its boards were kept last."""
         self.thread = SupervisedThread(lambda: asyncio.run(self._main()), "hermes")
 
     @classmethod
@@ -297,6 +298,8 @@ class HermesService:
         for task in running:
             task.cancel()
         await asyncio.gather(*running, return_exceptions=True)
+        self._tick()  # runs that have ended, and boards that came into doubt meanwhile
+        self._save()
 
     def _tick(self) -> None:
         now_s = time.monotonic()
@@ -312,7 +315,7 @@ class HermesService:
             elif record.kind == "run" and record.run in self._lane.passing and record.state in _ENDED:
                 self._guarded(self._lane.run_ended, record.run, now_s)
             elif record.kind == "board-missed":
-                self._guarded(self._lane.run_ended, None, now_s)
+                self._guarded(self._lane.run_ended, None, now_s, record.run)
         self._guarded(self._lane.decide, now_s)
         self._save()
 
@@ -546,13 +549,13 @@ class HermesService:
             Inside(b.board_id, b.values, {n: tuple(e) for n, e in b.parts.items()}, b.run, b.announced, b.doubtful)
             for b in kept
         )
-        self._saved = tuple(self._lane.waiting)
 
     def _save(self) -> None:
-        now = tuple(self._lane.waiting)
-        if now == self._saved:
+        lane = self._lane
+        state = tuple(lane.waiting), tuple(lane.passing), lane.leaving
+        if state == self._saved:
             return
-        self._saved = now
+        now, self._saved = lane.to_keep(), state
         # A disk may be slow: the silence of this thread is no fault then.
         with self.thread.waiting():
             self._write_boards(now)

@@ -140,6 +140,11 @@ def test_a_second_board_is_named_counted_and_takes_the_id_from_its_run(books: Bo
     assert detail_of(books.progress).board_id is None
 
 
+def test_each_further_board_is_an_event(books: Books) -> None:
+    books.finish((*TWO, (2.0, 2.3)))
+    assert books.account.missed == len(books.published) == 2
+
+
 def test_the_next_run_does_not_get_the_id_that_was_armed_before_the_second_board_was_published(books: Books) -> None:
     """SN-2 was armed at 55 s, when the second board, to which it belongs, had passed as part of the first run."""
     books.orders.accept(replace(books.progress.order, board_id="SN-2"), None, 55.0)

@@ -150,7 +150,8 @@ class BoardAccount:
     def _miss(self, count: int, edge_s: float, now_s: float, reason: Reason, run: str | None = None) -> None:
         """Count missed boards; `edge_s` is the host time of the last one's edge."""
         self.missed += count
-        self._publish("board-missed", reason.message, run=run, code=reason.code, action=reason.action)
+        for _ in range(count):  # one event for each: who follows the boards on the belt counts them
+            self._publish("board-missed", reason.message, run=run, code=reason.code, action=reason.action)
         # This is published now: an order that comes later was given by a caller who could know of it.
         self._orders.doubt(edge_s, now_s, "a board had passed without a run of its own before")
 
