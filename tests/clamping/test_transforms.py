@@ -162,3 +162,22 @@ def test_a_board_of_a_panel_and_a_part_with_local_fiducials_have_transforms_of_t
     assert [(t.board, t.components) for t in answer.transforms] == [(None, ()), ("A", ()), (None, ("B/U1",))]
     off = places(answer)[:, :2] - there(np.array([(40.0, 50.0), (120.0, 50.0), FIDUCIALS["F5"]]))[:, :2]
     assert off == pytest.approx(np.array([(0.05, 0.0), (0.0, 0.03), (0.0, 0.0)]), abs=0.012)
+
+
+def test_the_error_of_a_part_with_a_local_fiducial_has_that_of_the_whole_board() -> None:
+    places_of = {"F1": (70.0, 50.0), "F2": (80.0, 50.0), "L1": (140.0, 80.0)}
+    marks = [Fiducial(name=n, x=x, y=y, diameter=1.0) for n, (x, y) in places_of.items()]
+    marks[2] = marks[2].model_copy(update={"kind": "local", "components": ("U8",)})
+    parts = (Component(ref="U8", center=(155.0, 80.0), width=8.0, height=4.0),)
+    film, there, random = (
+        filmed(board_type(components=parts, fiducials=tuple(marks))),
+        Clamp(),
+        np.random.default_rng(1),
+    )
+    true, errors = there(np.array([(155.0, 80.0)]))[0], []
+    for _ in range(80):
+        at = there(np.array(list(places_of.values())))[:, :2] + random.normal(0, 0.05, (3, 2))
+        readings = [{"fiducial": n, "x": x, "y": y} for n, (x, y) in zip(places_of, at.tolist(), strict=True)]
+        p = clamp(film, request(readings, sigma=0.05, points=("U8",))).points[0]  # type: ignore[arg-type]
+        errors.append(((p.x - true[0]) / p.sigma_x, (p.y - true[1]) / p.sigma_y))
+    assert (np.sqrt(np.square(errors).mean(0)) < 1.4).all()

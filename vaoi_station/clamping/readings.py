@@ -265,7 +265,12 @@ class Readings:
                 own.setdefault(("parts", *(mark.components or ())), []).append(n)
             elif mark.panel is not None:
                 own.setdefault(("board", str(mark.panel)), []).append(n)
-        return {key: (refined(whole, self.place[at], self.at[at], self.sigma[at], _OWN), at) for key, at in own.items()}
+        return {key: (self._region(whole, at), at) for key, at in own.items()}
+
+    def _region(self, whole: Fit, at: list[int]) -> Fit:
+        # The whole, against which it has moved, is itself known to its own errors there.
+        known = np.r_[whole.variance(self.at[at].mean(0)[None])[0], whole.covariance.diagonal()[2:]]
+        return refined(whole, self.place[at], self.at[at], self.sigma[at], np.sqrt(_OWN**2 + known))
 
     def heights(self, used: list[int]) -> Bending:
         """Return the heights that the readings show."""

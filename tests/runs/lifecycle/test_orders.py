@@ -16,7 +16,7 @@ from vaoi_station.model import BoardType
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.control.core import Core
 from vaoi_station.runs.control.order_requests import WantedOrder
-from vaoi_station.runs.run.order_queue import LineBoard
+from vaoi_station.runs.run.order_queue import LineBoard, Queued
 from vaoi_station.runs.run.standing_order import StandingOrder
 
 
@@ -92,6 +92,31 @@ def test_the_line_is_set_for_the_next_order_between_two_boards(rig: Any) -> None
     rig.board(following)
     run = rig.result_of(following.run)
     assert (run.board_type, run.board_id) == ("slow", "b2")
+
+
+def test_after_the_last_board_of_an_armed_number_an_order_that_waits_arms_the_line(rig: Any) -> None:
+    other = rig.coordinator.board_type("small").model_dump() | {"name": "slow", "line": {"longest_board_mm": 40.0}}
+    write_board_type(rig.config.board_types / "slow.json", BoardType.model_validate(other))
+    with ThreadPoolExecutor(1) as caller:
+        outcome = caller.submit(rig.coordinator.arm, "small", None, None, 1)
+        granted = rig.peer.expect(messages.Grant)
+        rig.peer.expect(messages.Arm)
+        rig.peer.report(messages.Armed())
+        outcome.result(PATIENCE_S)
+    line = rig.coordinator._core.line
+    made, take_grant = rig.coordinator._make_order(rig.coordinator.board_type("slow"), "b2", None), line.take_grant
+
+    def given_meanwhile(*a: Any) -> Any:
+        taken = take_grant(*a)
+        line.orders.queue.add(Queued("o2", made), time.monotonic())
+        return taken
+
+    line.take_grant = given_meanwhile
+    rig.board(granted)
+    rig.peer.expect(messages.Disarm)
+    rig.peer.report(messages.Disarmed(()))
+    rig.peer.expect(messages.Grant)
+    rig.peer.expect(messages.Arm)
 
 
 def test_a_board_that_a_neighbour_announced_takes_the_order_with_its_id(rig: Any) -> None:

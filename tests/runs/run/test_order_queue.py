@@ -370,3 +370,39 @@ def test_a_board_without_an_order_or_with_the_wrong_side_up_is_not_sent(
 ) -> None:
     orders.queue.announce(1, board, ORDER if board.side else None, 100.0)
     assert [reason.code for reason in orders.queue.refusals(1, None)] == [code]
+
+
+def test_a_product_without_a_board_type_takes_no_order_that_does_not_name_its_board(orders: Orders) -> None:
+    orders.queue.add(Queued("any", an_order()), 11.0)
+    orders.queue.listen(True, 0.0)
+    for product, codes in (("unknown", ["board-without-order"]), ("", [])):
+        orders.queue.announce(1, LineBoard("a", product=product), None, 100.0)
+        assert [reason.code for reason in orders.queue.refusals(1, None)] == codes
+
+
+def test_a_board_that_comes_after_its_time_does_not_get_the_id_of_the_next_one(orders: Orders) -> None:
+    announce(orders, "late", ORDER)
+    assert [board.name for board in orders.queue.expire(112.0)] == ["late"]
+    announce(orders, "next", ORDER, now_s=112.5)
+    taken = orders.take(115.0, "r1", ORDER)  # it is the late one
+    assert taken is not None
+    assert taken.board_id is None
+    assert orders.uncertain == "board 'late' did not reach the barrier in time, and may come later"
+
+
+def test_the_orders_of_boards_on_their_way_follow_the_calibration(orders: Orders) -> None:
+    post(orders, "a")
+    announce(orders, "a")
+    assert [order.board_id for order in orders.queue.stale("new")] == ["a"]
+    orders.queue.remake({"small": replace(ORDER, calibration_digest="new")}, 101.0)
+    assert orders.queue.stale("new") == []
+    taken = orders.take(103.0, "r1", ORDER)
+    assert taken is not None
+    assert (taken.board_id, taken.calibration_digest) == ("a", "new")
+
+
+def test_a_board_of_uncertain_order_skips_no_positions(orders: Orders) -> None:
+    orders.queue.listen(True, 0.0)
+    taken = orders.take(100.0, "r1", replace(ORDER, board_id="a", job_id="J", skip=("2",)))
+    assert taken is not None
+    assert (taken.board_id, taken.job_id, taken.skip) == (None, None, ())

@@ -389,7 +389,7 @@ class LineControl:
             self._events.add("trouble", message, code="board-gone", action=action, subject={"board": board.name})
             self.follow()
         order = self.orders.next
-        if not self.orders.armed or self._machine.state is not StationState.IDLE or self.orders.runs_left == 0:
+        if self._machine.state is not StationState.IDLE or not (self.orders.by_orders or self.orders.wants_more):
             return
         try:
             self._require_cameras(order)

@@ -116,7 +116,8 @@ class OrderQueue:
         self.by_messages = False
         """Whether boards take orders by messages of the line only."""
         self._silent_until_s = _NEVER_S
-        """Time until which a board may come to the barrier whose transport began before the first message."""
+        """Time until which a board may come to the barrier that is not expected any more, or was never announced."""
+        self._silent_why = ""
         self._arrangements: deque[tuple[float, tuple[Queued, ...]]] = deque([(_NEVER_S, ())], _MOST_ARRANGEMENTS)
         """The waiting orders since a time each: the edge of a board decides, but is reported later."""
         self._announced: dict[int, _Announced] = {}
@@ -184,7 +185,8 @@ class OrderQueue:
 
     def stale(self, calibration: str) -> list[Order]:
         """Return the orders that were made with another calibration than the one with this digest."""
-        every = [*(q.order for q in self.waiting), *(a.made for a in self._announced.values())]
+        coming = (c.order(None) for c in self._coming)
+        every = [*(q.order for q in self.waiting), *(a.made for a in self._announced.values()), *coming]
         return [order for order in every if order is not None and order.calibration_digest != calibration]
 
     def remake(self, made: dict[str, Order], now_s: float) -> None:
@@ -198,6 +200,10 @@ class OrderQueue:
         self._arrange(tuple(replace(queued, order=again(queued.order)) for queued in self.waiting), now_s)
         for lane, (board, order) in self._announced.items():
             self._announced[lane] = _Announced(board, order and again(order))
+        for coming in self._coming:
+            coming.announced = _Announced(coming.board, coming.announced.made and again(coming.announced.made))
+            if coming.queued is not None:
+                coming.queued = replace(coming.queued, order=again(coming.queued.order))
 
     # --- messages of the line
 
@@ -205,6 +211,7 @@ class OrderQueue:
         """Let boards take orders by messages only from now on, or because they are the first."""
         if on and not self.by_messages:
             self._silent_until_s = now_s + self.window_s[1]
+            self._silent_why = "a board may have been on its way to the barrier before the messages of the line began"
         self.by_messages = on
 
     def announce(self, lane: int, board: LineBoard, made: Order | None, now_s: float) -> None:
@@ -225,7 +232,7 @@ class OrderQueue:
             self._arrange(_without(self.waiting, queued.id), now_s)
         coming = _Coming(lane, announced, queued, now_s)
         if now_s <= self._silent_until_s:
-            coming.doubted = "a board may have been on its way to the barrier before the messages of the line began"
+            coming.doubted = self._silent_why
         self._coming.append(coming)
 
     def finished(self, lane: int, state: Literal["complete", "incomplete", "not-started"], now_s: float) -> None:
@@ -303,6 +310,9 @@ class OrderQueue:
         gone = [c for c in self._coming if c.started_s + self.window_s[1] + LATE_S < now_s]
         for coming in gone:
             self._return(coming, now_s)
+            # It may come all the same, and would take the order of the board behind it.
+            self._silent_until_s = now_s + self.window_s[1]
+            self._silent_why = f"board {coming.board.name!r} did not reach the barrier in time, and may come later"
         return [coming.board for coming in gone]
 
     def board_of_run(self, run: str) -> LineBoard | None:
@@ -352,7 +362,10 @@ class OrderQueue:
         if (named := next((q for q in self.waiting if q.order.board_id in ids), None)) is not None:
             return named
         free = (q for q in self.waiting if q.order.board_id is None and board.side in (None, q.order.board_type.side))
-        return next((q for q in free if made is None or q.order.board_type.name == made.board_type.name), None)
+        if made is None:
+            # It is not known of which product a waiting order is, unless the machine upstream states none.
+            return None if board.product else next(free, None)
+        return next((q for q in free if q.order.board_type.name == made.board_type.name), None)
 
     def _of_announced(self, announced: _Announced, armed: Order | None) -> Order | None:
         queued = self._order_of(announced)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from vaoi_station.runs.run.order import Order
@@ -134,7 +134,7 @@ class Orders:
         self.uncertain, self.taken_since_s = why, _NEVER_S
         if doubts_s > _NEVER_S:
             self.doubt(_NEVER_S, doubts_s, f"a board came whose order is uncertain: {why}")
-        return None if granted is None else replace(granted, board_id=None, job_id=None)
+        return None if granted is None else granted.for_board(None, None)
 
     def cancel(self, now_s: float) -> None:
         """End the order in force. A board that interrupted the barrier before `now_s` keeps it; orders still wait."""
