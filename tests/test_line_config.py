@@ -85,6 +85,7 @@ def test_addresses_of_neighbours_have_the_port_of_the_lane_unless_it_is_given() 
     [
         ({}, "upstream, listen or tap is missing"),
         ({"tap": True, "upstream": "a"}, "tap excludes upstream and listen"),
+        ({"upstream": "a", "listen": "a"}, "the station would be its own neighbour"),
         ({"listen": "a", "supervisor": "b"}, "must end with a port"),
         ({"listen": "a:99999"}, "its port must be from 1 to 65535"),
         ({"listen": "a b"}, "listen"),

@@ -275,6 +275,8 @@ class Hermes(Section):
         for key in ("upstream", "listen", "supervisor"):
             if (given := getattr(self, key)) is not None and not 1 <= self.address(given)[1] <= 65_535:
                 raise ValueError(f"{key} is {given!r}, but its port must be from 1 to 65535")
+        if self.upstream and self.listen and self.address(self.upstream) == self.address(self.listen):
+            raise ValueError(f"upstream and listen are both {self.upstream!r}: the station would be its own neighbour")
         return self
 
     def address(self, given: str) -> tuple[str, int]:

@@ -5,7 +5,6 @@ This module imports little, so that the process can be started before anything e
 
 from __future__ import annotations
 
-import os
 import queue
 import re
 import signal
@@ -18,6 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from vaoi_station.child_environment import child_environment
 from vaoi_station.errors import DeviceError, InternalError
 
 START_S = 180.0
@@ -40,7 +40,7 @@ class Service:
     def __init__(self, config: Path, port: int = 0) -> None:
         """Prepare the service of the station.toml at `config`. Port 0 selects any free port."""
         self.config, self.port = config, port
-        self._command = [sys.executable, "-m", "vaoi_station.demo.service_process", str(config), str(port)]
+        self._command = [sys.executable, "-P", "-m", "vaoi_station.demo.service_process", str(config), str(port)]
         self._log: deque[str] = deque(maxlen=_LOG_LINES)
         self._found: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._process: subprocess.Popen[str] | None = None
@@ -92,7 +92,7 @@ class Service:
         """Start the process, which waits for `_start` before it reads its configuration."""
         # The service gets a separate session: Ctrl-C at the terminal then reaches this process only, which ends it.
         # Its output is not buffered, because the line with the address must arrive at once, not when a block is full.
-        environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+        environment = child_environment(PYTHONUNBUFFERED="1")
         self._process = subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,

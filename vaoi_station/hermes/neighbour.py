@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import time
 import uuid
@@ -59,6 +60,10 @@ class PlayedNeighbour:
         except OSError as error:
             where = f"{self._address[0]}:{self._address[1]}"
             action = "Check the table [hermes] of the station, and the address."
+            if error.errno == errno.EADDRINUSE:
+                raise DeviceError(
+                    f"{where} is in use on this machine.", action="Give another port with --address, and as upstream."
+                ) from None
             raise DeviceError(
                 f"{where}: the station is not reached: {error.strerror or error}.", action=action
             ) from None

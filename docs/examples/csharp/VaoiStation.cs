@@ -130,7 +130,8 @@ namespace Vaoi
         }
 
         /// <summary>Read the pictures of many components (none named: of all) in one request. `each` is called with
-        /// every component as soon as its pictures have arrived.</summary>
+        /// every component as soon as its pictures have arrived. Pixels are read raw, so `options` state no format: a
+        /// JPEG is `PictureFile(view, "jpeg")`.</summary>
         public async Task Pictures(string run, string[] components, Action<ComponentPictures> each, params object[] options)
         {
             var named = (components ?? new string[0]).SelectMany(c => new object[] { "component", c });
@@ -426,6 +427,7 @@ namespace Vaoi
         [DataMember(Name = "sigma_px")] public double? SigmaPx;
         /// <summary>CAD coordinates to pixels of the picture, 3 x 3, and pixels of the picture to those of the frame.</summary>
         [DataMember(Name = "crop_from_cad")] public double[][] CropFromCad;
+        [DataMember(Name = "cad_from_crop")] public double[][] CadFromCrop;
         [DataMember(Name = "image_from_crop")] public double[][] ImageFromCrop;
         [DataMember(Name = "url")] public string Url;
         [DataMember(Name = "dtype")] internal string Type;

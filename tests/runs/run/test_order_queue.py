@@ -303,6 +303,14 @@ def test_what_the_line_was_armed_with_is_for_boards_without_an_order(orders: Ord
     assert orders.next is not None, "an order that is given later is filmed all the same"
 
 
+def test_boards_of_uncertain_order_count_as_runs_too(orders: Orders) -> None:
+    orders.accept(ORDER, 1, 20.0)
+    orders.queue.by_messages = True
+    taken = orders.take(22.0, granted=ORDER)
+    assert taken is not None
+    assert (taken.board_id, orders.runs_left) == (None, 0), "no message announced it, yet it is filmed"
+
+
 def test_a_board_before_every_order_has_none(orders: Orders) -> None:
     post(orders, "a", now_s=20.0)
     taken = orders.take(19.0, "r", ORDER)

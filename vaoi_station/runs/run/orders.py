@@ -102,6 +102,8 @@ class Orders:
         self._edge_s, self.uncertain = max(self._edge_s, barrier_s), ""
         if (taken := self.queue.take(run, barrier_s, self._for_any)) is not None:
             if taken.order is None:
+                if granted is not None and self.runs_left is not None:  # it is filmed, so it counts
+                    self.runs_left = max(self.runs_left - 1, 0)
                 return self.disown(run, granted, taken.why, taken.doubts_s)
             self.taken_since_s = taken.since_s
             if taken.counts and self.runs_left is not None:

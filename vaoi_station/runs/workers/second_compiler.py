@@ -26,7 +26,7 @@ ORPHANED = 1
 """Exit code of the second process if the first one has ended."""
 LESS_URGENT = 10
 """By how much the second process is less urgent than others (`nice`) while boards may come."""
-_COMMAND = [sys.executable, "-m", "vaoi_station.runs.workers.second_compiler"]
+_COMMAND = [sys.executable, "-P", "-m", "vaoi_station.runs.workers.second_compiler"]
 _pidfd: int | None = None
 """Stands for the second process, also in workers, which are forked while it compiles; None: there is none."""
 
