@@ -10,6 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from vaoi_station.config import conflicts
 from vaoi_station.line_config import Hermes, Line
 
 VALID: dict[str, Any] = {
@@ -95,3 +96,11 @@ def test_addresses_of_neighbours_have_the_port_of_the_lane_unless_it_is_given() 
 def test_neighbours_that_cannot_be_are_refused(table: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         Hermes(**table)
+
+
+@pytest.mark.parametrize(("transfer_s", "limit_s"), [(None, 20.0), (20.0, 20.0), (20.1, 20.1)])
+def test_a_transfer_may_not_be_longer_than_the_way_to_the_barrier(transfer_s: float | None, limit_s: float) -> None:
+    line, hermes = Line(**VALID, transport_s=(0.0, 20.0)), Hermes(listen="a", transfer_s=transfer_s)
+    assert hermes.longest_transfer_s(line) == limit_s
+    found = [*conflicts((), None, set(), line, hermes)]
+    assert [text[:27] for text in found] == (["hermes.transfer_s is 20.1, "] if limit_s > 20 else [])

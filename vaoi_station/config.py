@@ -359,7 +359,7 @@ class StationConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         tables = {name for name in TABLE_OF.values() if getattr(self, name) is not None}
-        if found := [*conflicts(self.cameras, self.controller, tables, self.line)]:
+        if found := [*conflicts(self.cameras, self.controller, tables, self.line, self.hermes)]:
             raise ValueError("; ".join(found))
         return self
 
@@ -386,7 +386,11 @@ class StationConfig(Section):
 
 
 def conflicts(
-    cameras: Sequence[CameraConfig], controller: ControllerConfig | None, tables: Set[str], line: Line | None
+    cameras: Sequence[CameraConfig],
+    controller: ControllerConfig | None,
+    tables: Set[str],
+    line: Line | None,
+    hermes: Hermes | None,
 ) -> Iterator[str]:
     """Yield every contradiction between tables. A table that is not valid by itself is None and is not compared.
 
@@ -419,6 +423,12 @@ def conflicts(
                 f"camera {camera.name!r} exposes {camera.exposure_us} us, "
                 f"but pulses follow every {line.shortest_period_s * 1e6:.0f} us"
             )
+    # A board that is given up while it moves may come all the same, and take the order of the board behind it.
+    if line is not None and hermes is not None and hermes.longest_transfer_s(line) > line.transport_s[1]:
+        yield (
+            f"hermes.transfer_s is {hermes.transfer_s:g}, but a board is given up {line.transport_s[1]:g} s after its "
+            "transport began, the second value of line.transport_s; it must be at least as long"
+        )
 
 
 def read_config(path: Path) -> StationConfig:

@@ -257,8 +257,9 @@ class Hermes(Section):
     """Name of the station in messages; None: `name`."""
     places: Annotated[Whole, Field(ge=1, le=20)] = 1
     """Number of boards that may stand between the barrier and the next machine."""
-    transfer_s: Annotated[Positive, Field(le=3600)] = 60.0
-    """Longest time from StartTransport to TransportFinished of the machine upstream."""
+    transfer_s: Annotated[Positive, Field(le=3600)] | None = None
+    """Longest time from StartTransport to TransportFinished of the machine upstream; None: as for the way to the
+    barrier, the second value of `line.transport_s`."""
     exit_s: Annotated[Positive, Field(le=3600)] = 5.0
     """Time from the StartTransport of the next machine until a board has left the station."""
     products: dict[str, str] = {}
@@ -278,6 +279,10 @@ class Hermes(Section):
         if self.upstream and self.listen and self.address(self.upstream) == self.address(self.listen):
             raise ValueError(f"upstream and listen are both {self.upstream!r}: the station would be its own neighbour")
         return self
+
+    def longest_transfer_s(self, line: Line) -> float:
+        """Return the longest time of a transport from upstream."""
+        return line.transport_s[1] if self.transfer_s is None else self.transfer_s
 
     def address(self, given: str) -> tuple[str, int]:
         """Return host and port of an address as it is given in the table."""

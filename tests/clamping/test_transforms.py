@@ -181,3 +181,11 @@ def test_the_error_of_a_part_with_a_local_fiducial_has_that_of_the_whole_board()
         p = clamp(film, request(readings, sigma=0.05, points=("U8",))).points[0]  # type: ignore[arg-type]
         errors.append(((p.x - true[0]) / p.sigma_x, (p.y - true[1]) / p.sigma_y))
     assert (np.sqrt(np.square(errors).mean(0)) < 1.4).all()
+
+
+def test_a_fiducial_is_expected_where_it_was_filmed() -> None:
+    film = filmed()
+    off = {"name": "F1", "sightings": 9, "residual_px": (2.0, -1.0)}
+    seen = filmed(quality={**film.result.quality, "fiducials": [off, *film.result.quality["fiducials"][1:]]})
+    assert seen.places[0] - film.places[0] == pytest.approx(np.array((2.0, -1.0)) / 20.0)
+    assert seen.places[1:] == pytest.approx(film.places[1:])

@@ -356,8 +356,10 @@ class Line:
         self._moved_s = 0.0
         self.orders = QueuedOrders(world)
         ends: dict[Side, End] = {"upstream": OfStation("upstream", self), "downstream": OfStation("downstream", self)}
-        config = Hermes(upstream="upstream", listen="127.0.0.1", places=2, transfer_s=20, exit_s=2)
-        self.lane = Lane(config, STATION, 100.0, self.orders, lambda side, m: ends[side].send(m), self._publish)
+        config = Hermes(upstream="upstream", listen="127.0.0.1", places=2, exit_s=2)
+        self.lane = Lane(
+            config, STATION, 100.0, self.orders, lambda side, m: ends[side].send(m), self._publish, transfer_s=LONGEST_S
+        )
         decisions = self.score.decisions_s
         Wire(world, Upstream(world, self), ends["upstream"], decisions, "receiver")
         Wire(world, ends["downstream"], Downstream(world, self), decisions, "sender")

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from tests.hermes.station import GivenOrders
-from vaoi_station.hermes.lane import Lane, Side
+from vaoi_station.errors import NotFoundError
+from vaoi_station.hermes.lane import Inside, Lane, Side
 from vaoi_station.hermes.messages import Message, Parts
 from vaoi_station.hermes.session import COMPLETE, INCOMPLETE, NOT_STARTED, Role, Session
 from vaoi_station.line_config import Hermes
 from vaoi_station.model import Reason
+from vaoi_station.runs.run.order_queue import LineBoard
 
 BUSY = Reason(code="line-filming", message="A board is being filmed.", action="Wait.")
 ROLES: dict[Side, Role] = {"upstream": "receiver", "downstream": "sender"}
@@ -23,7 +27,7 @@ class Played:
     """A lane with neighbours whose messages a test gives."""
 
     def __init__(self, **table: Any) -> None:
-        config = Hermes(upstream="a", listen="b", products={"P-1": "relay"}, exit_s=2, transfer_s=30, **table)
+        config = Hermes(upstream="a", listen="b", products={"P-1": "relay"}, exit_s=2, **table)
         self.orders, self.events, self.supervised = GivenOrders(), list[str](), list[Message]()
         self.sent: dict[Side, list[Message]] = {"upstream": [], "downstream": []}
         self.lane = Lane(config, "station", 125.0, self.orders, self._send, self._publish, self.supervised.append)
@@ -246,6 +250,31 @@ def test_an_id_that_two_boards_have_is_passed_on_with_the_first_only() -> None:
     assert played.events == ["board-id-twice"]
 
 
+def test_a_start_that_crossed_a_revocation_and_the_next_offer_moves_nothing(played: Played) -> None:
+    played.connect("downstream")
+    played.film("run-1")
+    played.film("run-2")
+    first, second = played.lane.waiting
+    played.take("downstream", "MachineReady", FailedBoard=0)
+    assert played.lane.remove(first.board_id, 1.0)
+    session = played.lane.sessions["downstream"]
+    answer = session.received(Message.of("StartTransport", BoardId=first.board_id), 1.0)
+    assert not answer.close
+    assert [(m.tag, m.get("TransferState")) for m in answer.send] == [("TransportFinished", NOT_STARTED)]
+    played.take("downstream", "StopTransport", BoardId=first.board_id, TransferState=NOT_STARTED)
+    assert played.sent["downstream"][-1] == second.message("BoardAvailable")
+
+
+def test_others_may_ask_for_the_doubt_while_the_first_board_leaves(played: Played) -> None:
+    class Leaves(deque[Inside]):
+        def __getitem__(self, at: Any) -> Any:
+            raise IndexError("it has left meanwhile")
+
+    played.film("run-1")
+    played.lane.waiting = Leaves(replace(board, doubtful=True) for board in played.lane.waiting)
+    assert [reason.code for reason in played.lane.doubt()] == ["board-between-machines"]
+
+
 def test_a_stop_that_crossed_a_revocation_takes_no_other_board(played: Played) -> None:
     """A person took the first board out; the next machine started it in the same moment, and says that it has it."""
     played.connect("downstream")
@@ -291,6 +320,22 @@ def test_a_board_that_may_be_a_bad_one_passes_as_bad_until_the_bad_one_is_seen()
     assert [board.announced for board in played.lane.waiting] == [False, True, False]
 
 
+def test_a_product_whose_board_type_cannot_be_used_is_announced_as_such(played: Played) -> None:
+    boards, announce = list[LineBoard](), played.orders.announce
+
+    def refuse(lane: int, board: LineBoard) -> None:
+        if board.board_type is not None:
+            raise NotFoundError("relay is unknown")
+        boards.append(board)
+        announce(lane, board)
+
+    played.orders.announce = refuse  # type: ignore[method-assign]
+    played.connect("upstream")
+    played.available("b1", ProductTypeId="P-1")
+    assert played.events == ["product-unusable"]
+    assert [(board.board_type, board.unusable) for board in boards] == [(None, True)]
+
+
 @pytest.mark.parametrize(
     ("after", "leaves"),
     [
@@ -317,7 +362,9 @@ def test_of_two_boards_with_one_id_the_second_stays_bad() -> None:
         played.connect(side)
     for run, failed in (("run-1", 1), ("run-2", 2)):
         played.comes_in("b1", FailedBoard=failed)
-        played.film(run)
+        played.lane.run_began(run, 0.0)
+    for run in ("run-1", "run-2"):
+        played.lane.run_ended(run, 1.0)
     assert [(b.announced, b.values["FailedBoard"]) for b in played.lane.waiting] == [(True, "1"), (False, "2")]
 
 

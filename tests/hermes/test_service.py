@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -220,3 +220,19 @@ def test_a_supervisory_system_hears_of_boards_and_reads_the_configuration(tmp_pa
         peer.next("SendHermesCapabilities")
         station.film()
         assert peer.next("BoardArrived").get("BoardTransfer") == "3"
+
+
+def test_connections_of_supervisory_systems_are_few_and_must_say_something(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "HANDSHAKE_S", 0.5)
+    table = {"listen": f"127.0.0.1:{port}", "supervisor": f"127.0.0.1:{(above := free_port())}"}
+    with PlayedStation(tmp_path, **table).running() as station, ExitStack() as stack:
+        silent = [Peer(stack.enter_context(closing(station.connect(above)))) for _ in range(6)]
+        wait_for(lambda: len(station.service._open) == 6)
+        refused = Peer(stack.enter_context(closing(station.connect(above))))
+        assert refused.next("Notification").get("NotificationCode") == "2"
+        assert all(peer.ends() for peer in silent)
+        again = Peer(stack.enter_context(closing(station.connect(above))))
+        again.send(Message.of("GetConfiguration"))
+        again.next("CurrentConfiguration")

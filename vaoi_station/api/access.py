@@ -41,7 +41,7 @@ _COMMANDS: tuple[tuple[re.Pattern[str], Scope], ...] = (
     (re.compile(r"/api/v1/station/(arm|disarm)"), "operate"),
     (re.compile(r"/api/v1/runs/[^/]+/(release|hold|pin|decision|clamped|identity/next-machine)"), "operate"),
     (re.compile(r"/api/v1/orders(/[^/]+)?"), "operate"),
-    (re.compile(r"/api/v1/neighbours/boards/[^/]+"), "operate"),
+    (re.compile(r"/api/v1/neighbours/boards/.+"), "operate"),
     (re.compile(r"/api/v1/board-(types|data)/.+"), "teach"),
     (re.compile(r"/api/v1/runs/[^/]+/good"), "teach"),
     (re.compile(r"/api/v1/cameras/[^/]+/trial"), "teach"),

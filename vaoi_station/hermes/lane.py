@@ -70,7 +70,7 @@ class LineOrders(Protocol):
 def announce(orders: LineOrders, config: Hermes, message: Message, publish: Callable[..., Any]) -> None:
     """Announce the board of a BoardAvailable or BoardForecast to the queue of orders.
 
-    If the board type of its product cannot be used, that is published, and it is announced without one.
+    If the board type of its product cannot be used, that is published, and the board needs an order that names it.
     """
     codes = (message.get("TopBarcode"), message.get("BottomBarcode"))
     product = message.get("ProductTypeId") or ""
@@ -88,7 +88,7 @@ def announce(orders: LineOrders, config: Hermes, message: Message, publish: Call
     except VaoiError as refusal:
         text = f"hermes.products.{product} cannot be used: {refusal.message}"
         publish("trouble", text, code="product-unusable", action=refusal.action)
-        orders.announce(config.lane, replace(board, board_type=None))
+        orders.announce(config.lane, replace(board, board_type=None, unusable=True))
 
 
 @dataclass(frozen=True)
@@ -124,6 +124,8 @@ class Lane:
     publish: Callable[..., Any]
     supervise: Callable[[Message], object] = lambda _: None
     """Passes what arrived and departed to the supervisory system."""
+    transfer_s: float = 30.0
+    """Longest time of a transport from upstream."""
     sessions: dict[Side, Session] = field(default_factory=dict)
     """The connections whose neighbours have said who they are."""
     waiting: deque[Inside] = field(default_factory=deque)
@@ -369,9 +371,10 @@ class Lane:
 
     def doubt(self) -> tuple[Reason, ...]:
         """Return the reason that it is not known where the first board is; empty if it is known."""
-        if not self.waiting or not self.waiting[0].doubtful:
+        first = next(iter(tuple(self.waiting)), None)  # other threads ask while boards leave
+        if first is None or not first.doubtful:
             return ()
-        message = f"It is not known whether the next machine has board {self.waiting[0].board_id}."
+        message = f"It is not known whether the next machine has board {first.board_id}."
         return (Reason(code="board-between-machines", message=message, action=_SAY_OUT),)
 
     def _full(self) -> tuple[Reason, ...]:
@@ -389,11 +392,11 @@ class Lane:
         if session is None:
             return
         begun_s = self._started_s.get("upstream")
-        if begun_s is not None and now_s - begun_s > self.config.transfer_s and session.state is State.TRANSPORTING:
+        if begun_s is not None and now_s - begun_s > self.transfer_s and session.state is State.TRANSPORTING:
             board = session.board
             self.send("upstream", Message.of("StopTransport", TransferState=INCOMPLETE, BoardId=board))
-            message = f"Board {board} did not come within {self.config.transfer_s:g} s of StartTransport."
-            action = "Check the conveyors between the machines; a longer way needs a larger hermes.transfer_s."
+            message = f"Board {board} did not come within {self.transfer_s:g} s of StartTransport."
+            action = "Check the conveyors; a longer way needs a larger line.transport_s and hermes.transfer_s."
             self.publish("trouble", message, code="board-late", action=action)
         if self.held:
             if session.may_send("RevokeMachineReady"):

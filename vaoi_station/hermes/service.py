@@ -31,6 +31,7 @@ from vaoi_station.hermes.messages import Message, ProtocolError, read_message
 from vaoi_station.hermes.session import (
     ERROR,
     FATAL,
+    HANDSHAKE_S,
     INFORMATION,
     PROTOCOL_ERROR,
     REFUSED,
@@ -203,7 +204,8 @@ class HermesService:
         """Talk to the neighbours during a `with` block; `watch` supervises the thread."""
         line, self._orders = self._station.line, orders
         speed_mm_s = line.speed_mm_s if line.speed_limits_mm_s is None else None
-        self._lane = Lane(self._config, self._machine, speed_mm_s, orders, self._send, self._publish, self._supervise)
+        transfer_s, acts = self._config.longest_transfer_s(line), (self._send, self._publish, self._supervise)
+        self._lane = Lane(self._config, self._machine, speed_mm_s, orders, *acts, transfer_s)
         self._listening = Listening(self._config, orders, self._note, self._publish)
         self.thread.start()
         watch(self.thread)
@@ -455,7 +457,8 @@ class HermesService:
 
     async def _supervised(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a supervisory system until either side ends the connection."""
-        if len(self._supervisors) >= MOST_SUPERVISORS:
+        # One that has not said who it is counts as well, as do the neighbours.
+        if len(self._open) >= MOST_SUPERVISORS + 2:
             writer.write(notification(REFUSED, ERROR, f"{MOST_SUPERVISORS} systems are connected").to_bytes())
             await _closed(writer)
             return
@@ -463,21 +466,23 @@ class HermesService:
         self._open[asyncio.current_task()] = writer
         framing = Framing()
         try:
-            while data := await reader.read(_PIECE):
-                for raw in framing.feed(data):
-                    if (message := read_message(raw)) is None:
-                        continue
-                    self._note("supervisor", message)
-                    if message.tag == "SupervisoryServiceDescription":
-                        self._supervisors.add(writer)
-                    if (reply := supervisory.answer(message, self._machine, self._config)) is not None:
-                        self._note("supervisor", reply, sent=True)
-                        writer.write(reply.to_bytes())
-                await writer.drain()
+            async with asyncio.timeout(HANDSHAKE_S) as first:
+                while data := await reader.read(_PIECE):
+                    for raw in framing.feed(data):
+                        if (message := read_message(raw)) is None:
+                            continue
+                        first.reschedule(None)
+                        self._note("supervisor", message)
+                        if message.tag == "SupervisoryServiceDescription":
+                            self._supervisors.add(writer)
+                        if (reply := supervisory.answer(message, self._machine, self._config)) is not None:
+                            self._note("supervisor", reply, sent=True)
+                            writer.write(reply.to_bytes())
+                    await writer.drain()
         except ProtocolError as error:
             writer.write(notification(PROTOCOL_ERROR, FATAL, str(error)).to_bytes())
         except OSError:
-            pass  # it is gone
+            pass  # it is gone, or has sent no message
         finally:
             self._supervisors.discard(writer)
             await _closed(writer)

@@ -13,11 +13,13 @@ The machine that has the board is the *sender*: it listens. The machine that get
 | finished | | StopTransport → idle |
 
 While a board moves, BoardAvailable and RevokeBoardAvailable have no effect: they crossed StartTransport.
-StartTransport in "ready" crossed RevokeBoardAvailable: the sender answers that nothing began.
+StartTransport in "ready", or of a board that was revoked, crossed RevokeBoardAvailable: the sender answers that nothing
+began.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from enum import StrEnum
 from typing import Literal, NamedTuple
@@ -34,6 +36,7 @@ FATAL, ERROR, WARNING, INFORMATION = 1, 2, 3, 4
 """Severities of notifications."""
 NOT_STARTED, INCOMPLETE, COMPLETE = "1", "2", "3"
 """States of a transfer."""
+_MOST_REVOKED = 20
 FEATURES = ("FeatureBoardForecast", "FeatureCheckAliveResponse", "FeatureQueryBoardInfo", "FeatureSendBoardInfo")
 
 Role = Literal["sender", "receiver"]
@@ -104,6 +107,8 @@ class Session:
         self._asked_s: float | None = None
         self.board: str | None = None
         """Id of the board that is available, or moves."""
+        self._revoked: deque[str | None] = deque(maxlen=_MOST_REVOKED)
+        """Boards that were revoked since the latest StartTransport."""
 
     @property
     def moving(self) -> bool:
@@ -161,18 +166,24 @@ class Session:
         if before not in _OF[other][message.tag]:
             return self.refuse(f"{message.tag} came in the state {before!r}")
         board = message.get("BoardId")
-        starts_other = message.tag == "StartTransport" and before is State.BOTH
+        starts = message.tag == "StartTransport"
+        revoked = starts and (before is State.READY or (board != self.board and board in self._revoked))
+        starts_other = starts and not revoked
         if (starts_other or message.tag in ("StopTransport", "TransportFinished")) and board != self.board:
             return self.refuse(f"{message.tag} names board {board!r}, but it is {self.board!r}")
         if before in (State.TRANSPORTING, State.STOPPED) and message.tag.endswith("BoardAvailable"):
             return Answer()  # it crossed StartTransport on its way
         self._advance(other, message)
-        if message.tag == "StartTransport" and before is State.READY:
-            # RevokeBoardAvailable crossed it on its way: there is no board to be moved.
+        if revoked:
+            # RevokeBoardAvailable crossed it on its way: that board is not there any more.
             return Answer((self.sent(Message.of("TransportFinished", TransferState=NOT_STARTED, BoardId=board)),))
         return Answer(news=message)
 
     def _advance(self, role: Role, message: Message) -> None:
+        if message.tag == "RevokeBoardAvailable" and not self.moving:
+            self._revoked.append(self.board)
+        elif message.tag == "StartTransport":
+            self._revoked.clear()
         self.state = _OF[role][message.tag][self.state]
         if message.tag in ("BoardAvailable", "StartTransport"):
             self.board = message.get("BoardId")

@@ -11,6 +11,7 @@ from fastapi.testclient import TestClient
 from tests.api.held_station import HeldStation
 from tests.hermes.station import PlayedStation, free_port
 from tests.hermes.test_service import wait_for
+from vaoi_station.api.access import scope_needed
 from vaoi_station.api.app import create_app
 
 
@@ -24,6 +25,8 @@ def test_a_station_without_neighbours_says_so() -> None:
     with TestClient(create_app(HeldStation(), ["testserver"])) as client:
         assert client.get("/api/v1/neighbours").json()["role"] == "none"
         assert client.delete("/api/v1/neighbours/boards/x").status_code == 409
+        assert client.delete("/api/v1/neighbours/boards/lot%2Fx").status_code == 409
+    assert scope_needed("DELETE", "/api/v1/neighbours/boards/lot/x") == "operate"
 
 
 def test_a_board_that_was_taken_out_is_not_offered_any_more(played: PlayedStation) -> None:

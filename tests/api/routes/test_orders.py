@@ -63,3 +63,6 @@ def test_the_line_is_armed_for_orders_or_for_a_board_type(client: Any) -> None:
     assert client.post("/api/v1/station/arm?orders=true").json()["state"] == "armed"
     both = client.post("/api/v1/station/arm", json={"orders": True, "board_type": "demo-board"})
     assert (both.status_code, both.json()["detail"]) == (422, "orders excludes board_type.")
+    lost = client.post("/api/v1/station/arm?orders=true&allow_lost_cameras=true")
+    assert (lost.status_code, lost.json()["detail"]) == (422, "orders excludes allow_lost_cameras.")
+    assert client.post("/api/v1/station/arm?orders=true&allow_lost_cameras=false").status_code == 200

@@ -10,7 +10,7 @@ import pytest
 
 from tests.runs.peer import PATIENCE_S
 from vaoi_station.acquisition.process import messages
-from vaoi_station.errors import StateError
+from vaoi_station.errors import InputError, StateError
 from vaoi_station.files import write_board_type
 from vaoi_station.model import BoardType
 from vaoi_station.model.board_identity import IdentityDocument
@@ -92,6 +92,11 @@ def test_the_line_is_set_for_the_next_order_between_two_boards(rig: Any) -> None
     rig.board(following)
     run = rig.result_of(following.run)
     assert (run.board_type, run.board_id) == ("slow", "b2")
+
+
+def test_arming_for_orders_takes_no_leave_to_film_without_cameras(rig: Any) -> None:
+    with pytest.raises(InputError, match="stated by each order that waits"):
+        rig.coordinator.arm(None, allow_lost_cameras=True)
 
 
 def test_after_the_last_board_of_an_armed_number_an_order_that_waits_arms_the_line(rig: Any) -> None:

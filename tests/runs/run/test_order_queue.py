@@ -388,6 +388,16 @@ def test_a_product_without_a_board_type_takes_no_order_that_does_not_name_its_bo
         assert [reason.code for reason in orders.queue.refusals(1, None)] == codes
 
 
+def test_a_product_that_cannot_be_used_is_not_filmed_as_what_the_line_was_armed_with(orders: Orders) -> None:
+    orders.accept(ORDER, None, 20.0)
+    announce(orders, "a", product="P", unusable=True)
+    taken = orders.take(103.0, "r1", ORDER)
+    assert taken is not None
+    assert (taken.board_id, orders.uncertain) == (None, "no order was for board 'a'")
+    orders.queue.announce(1, LineBoard("b", product="P", unusable=True), None, 104.0)
+    assert [reason.code for reason in orders.queue.refusals(1, ORDER)] == ["board-without-order"]
+
+
 def test_a_board_that_comes_after_its_time_does_not_get_the_id_of_the_next_one(orders: Orders) -> None:
     announce(orders, "late", ORDER)
     assert [board.name for board in orders.queue.expire(112.0)] == ["late"]

@@ -25,7 +25,7 @@ def router(services: Services) -> APIRouter:
         """
         return NO_LINE if services.line is None else services.line.status()
 
-    @routes.delete("/boards/{board_id}")
+    @routes.delete("/boards/{board_id:path}")
     async def remove_board(
         board_id: Annotated[str, Path(description="Id of a board of `boards`.", min_length=1, max_length=1000)],
     ) -> LineStatus:

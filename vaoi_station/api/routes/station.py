@@ -106,7 +106,8 @@ def _merged(request: ArmRequest, given: dict[str, Any]) -> ArmRequest:
                 f"{key} is {merged[key]!r} in the body and {value!r} in the query.", action="Give the value once."
             )
         merged[key] = merged[key] if value is None else value
-    given_too = [key for key in ("board_type", "board_id", "job_id", "runs") if merged[key] is not None]
+    of_type = ("board_type", "board_id", "job_id", "runs", "allow_lost_cameras")
+    given_too = [key for key in of_type if merged[key] not in (None, False)]
     if merged["orders"] and given_too:
         raise InputError(f"orders excludes {', '.join(given_too)}.", action="Give orders alone, or a board type.")
     if not merged["orders"] and not merged["board_type"]:

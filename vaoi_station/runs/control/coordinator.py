@@ -207,6 +207,8 @@ class StationCoordinator(BoardTypeRequests):
         """
         if runs is not None and runs < 1:
             raise InputError.field("arm", "runs", runs, "at least 1, or absent")
+        if board_type is None and allow_lost_cameras:
+            raise InputError.field("arm", "allow_lost_cameras", True, "stated by each order that waits")
         # An unusable board type is refused here, in the caller's thread, before a board comes.
         order = None
         if board_type is not None:

@@ -39,6 +39,8 @@ class LineBoard:
     product: str = ""
     board_type: str | None = None
     """Board type of the product; None: the product is unknown."""
+    unusable: bool = False
+    """Whether the product is known, but not its board type: then only an order that names the board is for it."""
     failed: Literal["unknown", "good", "bad"] = "unknown"
     side: Literal["top", "bottom"] | None = None
     """The side that is up; None: not stated."""
@@ -88,6 +90,10 @@ class _Announced(NamedTuple):
     made: Order | None
     """The order that the board's product makes; None if the product is unknown."""
 
+    def without_order(self, armed: Order | None) -> Order | None:
+        """Return what a board is filmed for if no order waits for it."""
+        return self.made or (None if self.board.unusable else armed)
+
 
 @dataclass
 class _Coming:
@@ -104,7 +110,7 @@ class _Coming:
         return self.announced.board
 
     def order(self, armed: Order | None) -> Order | None:
-        return self.queued.order if self.queued is not None else self.announced.made or armed
+        return self.queued.order if self.queued is not None else self.announced.without_order(armed)
 
 
 class OrderQueue:
@@ -369,7 +375,7 @@ class OrderQueue:
 
     def _of_announced(self, announced: _Announced, armed: Order | None) -> Order | None:
         queued = self._order_of(announced)
-        return queued.order if queued is not None else announced.made or armed
+        return queued.order if queued is not None else announced.without_order(armed)
 
     def _return(self, coming: _Coming, now_s: float) -> None:
         self._coming.remove(coming)

@@ -808,7 +808,7 @@ const settings = {
     "hermes.tap": "Ob die Station zwischen zwei anderen Maschinen nur mithört.",
     "hermes.machine": "Name der Station in Nachrichten; leer: name.",
     "hermes.places": "Anzahl der Baugruppen, die zwischen Lichtschranke und nächster Maschine stehen dürfen.",
-    "hermes.transfer_s": "Längste Zeit von StartTransport bis TransportFinished der Maschine davor.",
+    "hermes.transfer_s": "Längste Zeit von StartTransport bis TransportFinished der Maschine davor; fehlt sie, wie für den Weg bis zur Lichtschranke: der zweite Wert von `line.transport_s`.",
     "hermes.exit_s": "Zeit vom StartTransport der nächsten Maschine, bis eine Baugruppe die Station verlassen hat.",
     "hermes.products": "Baugruppentyp zu jeder ProductTypeId der Linie.",
     "push.mqtt.host": "Name oder Adresse des Brokers.",
