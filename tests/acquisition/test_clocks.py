@@ -63,3 +63,11 @@ def test_clocks_of_one_time_are_apart_when_they_certainly_are(errors: list[float
     assert all(apart[k] == 0 for k in apart if k > 0 or abs(off_s) < 1e-4)
     if abs(off_s) > 5e-3:  # twice the bounds of both
         assert apart[0] == pytest.approx(off_s, abs=3e-3)
+
+
+def test_of_two_clocks_that_differ_neither_is_known_to_be_right() -> None:
+    clocks = {k: (ClockModel("camera"), 0) for k in range(2)}
+    for at_s in range(5):
+        for k, (clock, _) in clocks.items():
+            clock.add(ClockReading(at_s - 0.005 * k, float(at_s), 1e-5))
+    assert apart_s(clocks, 4.0) == {0: pytest.approx(0.005, abs=1e-4), 1: pytest.approx(-0.005, abs=1e-4)}

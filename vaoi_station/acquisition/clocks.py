@@ -159,7 +159,11 @@ def apart_s(clocks: Mapping[int, tuple[ClockModel, int]], host_s: float) -> dict
     origin_ns = next(iter(known.values()))[1]
     times_s = {k: clock.device_s(host_s) + (epoch_ns - origin_ns) * 1e-9 for k, (clock, epoch_ns) in known.items()}
     bounds_s = {k: clock.bound_s(clock.device_s(host_s)) for k, (clock, _) in known.items()}
-    middle = sorted(known, key=times_s.__getitem__)[(len(known) - 1) // 2]
+    ranked = sorted(known, key=times_s.__getitem__)
+    middle, above = ranked[(len(known) - 1) // 2], ranked[len(known) // 2]
+    if times_s[above] - times_s[middle] > bounds_s[middle] + bounds_s[above] + RESOLUTION_S:
+        # Two halves: nothing says which one is right.
+        return {k: t - times_s[above if t <= times_s[middle] else middle] for k, t in times_s.items()}
     off_s = {k: times_s[k] - times_s[middle] for k in known}
     return {k: off_s[k] if abs(off_s[k]) > bounds_s[k] + bounds_s[middle] + RESOLUTION_S else 0.0 for k in known}
 

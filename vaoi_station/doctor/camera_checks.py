@@ -193,7 +193,8 @@ def ask(camera: CameraConfig) -> Offered:
             left=tuple(_left_over(control, camera)),
             has_ptp=has_ptp(features),
             black_level=None if black_level is None else float(black_level),
-            sensor=(_first(features, "SensorWidth", "WidthMax"), _first(features, "SensorHeight", "HeightMax")),
+            # WidthMax and HeightMax shrink with binning, so they state no sensor.
+            sensor=(_stated(features, "SensorWidth"), _stated(features, "SensorHeight")),
             trigger_mode=str(features.read("TriggerMode")) if features.has("TriggerMode") else "Off",
             port=port,
             address=address,
@@ -203,9 +204,9 @@ def ask(camera: CameraConfig) -> Offered:
         )
 
 
-def _first(features: Features, *names: str) -> int | None:
-    """Return the value of the first feature that the camera has; None if it has none of them."""
-    return next((int(features.read(name)) for name in names if features.has(name)), None)
+def _stated(features: Features, name: str) -> int | None:
+    """Return the value of a feature; None if the camera does not have it."""
+    return int(features.read(name)) if features.has(name) else None
 
 
 def _left_over(control: Control, camera: CameraConfig) -> Iterator[str]:

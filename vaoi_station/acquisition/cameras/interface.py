@@ -116,7 +116,7 @@ class CameraPtp:
     epoch_ns: int = 0
     """Time of its clock from which the seconds of its readings count."""
     apart_s: float = 0.0
-    """By how much its clock certainly differs from those of most other cameras with PTP; 0 within the bounds."""
+    """How far its clock certainly is from those of most others with PTP, or of the other half; 0 within bounds."""
 
     @property
     def synchronised(self) -> bool:

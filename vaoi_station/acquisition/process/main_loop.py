@@ -47,7 +47,7 @@ from vaoi_station.acquisition.process.run_reports import clock_jump_error, troub
 from vaoi_station.acquisition.process.session import Session
 from vaoi_station.acquisition.ring import Ring, RingLayout
 from vaoi_station.config import StationConfig
-from vaoi_station.errors import DeviceError, InternalError, StateError, VaoiError
+from vaoi_station.errors import InternalError, StateError, VaoiError
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault, faults_of
 
 HELD_UP_S = 0.1
@@ -183,7 +183,7 @@ class _MainLoop:
                 # asked again, since each reading of a silent camera takes seconds.
                 try:
                     clock.add(camera.read_clock())
-                except DeviceError:
+                except VaoiError:
                     cameras.remove((clock, camera))
         woken, waker = multiprocessing.Pipe(duplex=False)
         commands = SupervisedThread(partial(self._receive_commands, woken), "commands")
@@ -310,7 +310,7 @@ class _MainLoop:
                 self._session.outages.add_jump(polled.number - 1, jump)
                 # A jump before the line is armed harms no board. Reported as trouble it would end the arming. A camera
                 # with PTP is set to the time of its master, which may come late; that costs nothing between two boards.
-                in_a_run = self._session.filming or self._session.awaits_clocks
+                in_a_run = self._session.filming or self._session.awaits_clocks or bool(self._passage.passing)
                 if self._cameras[polled.number - 1].ptp and not in_a_run:
                     _log.info("%s: %s, as its PTP master has set it", clock.name, jump)
                 elif self._waiting is None:

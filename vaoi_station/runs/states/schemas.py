@@ -178,7 +178,7 @@ class CameraPtpStatus(Strict):
     offset_ns: int | None = None
     """Its clock minus that of its master, if it states that."""
     apart_us: float = 0.0
-    """By how much its clock certainly differs from those of most other cameras with PTP; 0 within the bounds."""
+    """How far its clock certainly is from those of most others with PTP, or of the other half; 0 within bounds."""
 
 
 class CameraStatus(Strict):

@@ -390,7 +390,7 @@ class AravisCamera:
 
     def _on_loss(self, error: DeviceError) -> None:
         """Take the slots back from the lost connection, report the loss, and close the connection in the background."""
-        self._fault = error
+        self._fault = _detached(error)
         with self._lock:
             connection, self._connection = self._connection, None
             assert connection is not None
@@ -434,7 +434,7 @@ class AravisCamera:
                         connection.stream.queue(slot)
                     self._waiting, self._connection, self._access_error = [], connection, None
         except DeviceError as error:
-            self._fault = error
+            self._fault = _detached(error)
             connection.close()
             return False
         self._last_reply_s = self._last_controlled_s = time.monotonic()

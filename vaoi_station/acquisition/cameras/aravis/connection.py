@@ -528,15 +528,16 @@ class Connection:
     def _identity(self, where: str) -> Identity:
         camera = self._camera
         address, interface, model = where, "", text_of(camera.get_model_name)
+        serial = text_of(camera.get_device_serial_number).strip()  # as a search states it
         if self.is_gige:
             device = camera.get_device()
             address = device.get_device_address().get_address().to_string()
             interface = network.interface_of(device.get_interface_address().get_address().to_string())
             model = network.model_name(address) or model
-        else:  # as a search states it
-            serial = text_of(camera.get_device_serial_number)
+        else:  # FLIR: 0138C343 at USB, which a search states, is 20497219 in the description (Aravis #492)
+            serial = self.config.serial or serial
             model = next((usb.model for usb in usb_cameras() if usb.serial == serial), model)
-        return Identity(text_of(camera.get_device_serial_number), address, interface, model)
+        return Identity(serial, address, interface, model)
 
     @contextlib.contextmanager
     def _noticing_restarts(self) -> Iterator[None]:

@@ -232,8 +232,8 @@ EXPOSURES = ("ExposureTime", "ExposureTimeAbs")
 """Names of the exposure in a unit of time, in order of preference."""
 RAW_EXPOSURE = "ExposureTimeRaw"
 """The exposure of Imperx, whose text alone states its unit: "in units of uSeconds"."""
-MICROSECONDS = r"(?i)\b(u|µ|μ|micro[- ]?)s(ec|\b)"
-"""How texts of descriptions write the unit."""
+MICROSECONDS = r"(?i)(\b(in|of)\s+|[\[(])(u|µ|μ|micro[- ]?)s(ec|\b)"
+"""How texts of descriptions write the unit: in µs, (usec), [us]; "contact us" is none."""
 TIME_UNITS_US = {"": 1.0, "us": 1.0, "µs": 1.0, "μs": 1.0, "ns": 1e-3, "ms": 1e3, "s": 1e6}
 """Unit of an exposure → µs. Orca_Fire_C16240-20UP states s; AVT_Mako_G234B states none and counts µs."""
 CLOCKS = (
