@@ -1,8 +1,9 @@
 """A line of three machines in simulated time: `python -m tests.hermes.line_of_three --boards 1000 --seed 1`.
 
 The station's own lane, sessions and queue of orders stand between two machines that revoke, time out, die and come back
-at random, and people take boards off the belt. Every byte goes through framing, cut anywhere. The belt knows which
-board is which: at the next machine each has the id of its own message, or one that the station made as it knew none.
+at random, and people take boards off the belt. Boards are missed, and the station is killed and starts anew at once.
+Every byte goes through framing, cut anywhere. The belt knows which board is which: at the next machine each has the id
+of its own message, or one that the station made as it knew none.
 """
 
 from __future__ import annotations
@@ -171,6 +172,9 @@ class QueuedOrders:
 
     def barrier(self, run: str) -> None:
         self._queue.take(run, self._world.now_s, self._armed)
+
+    def missed(self) -> None:
+        self._queue.missed(self._world.now_s, self._world.now_s)
 
     def board_of_run(self, run: str) -> LineBoard | None:
         return self._queue.board_of_run(run)
@@ -341,6 +345,7 @@ class Score:
     wrong: list[str] = field(default_factory=list)
     decisions_s: list[float] = field(default_factory=list)
     stuck: str = ""
+    restarts: int = 0
 
 
 class Line:
@@ -351,19 +356,26 @@ class Line:
         self.score, self._boards, self._made, self._runs = Score(), boards, 0, 0
         self.behind: list[Board] = []
         """Boards behind the cameras, the first one first; a board that the next machine took is not there."""
+        self.filmed: list[Board] = []
+        """Boards between the barrier and the place behind the cameras, the first one first."""
         self.started: str | None = None
         """The board that the belt moves to the next machine."""
-        self._moved_s = 0.0
+        self._moved_s = self._filmed_s = 0.0
         self.orders = QueuedOrders(world)
         ends: dict[Side, End] = {"upstream": OfStation("upstream", self), "downstream": OfStation("downstream", self)}
-        config = Hermes(upstream="upstream", listen="127.0.0.1", places=2, exit_s=2)
-        self.lane = Lane(
-            config, STATION, 100.0, self.orders, lambda side, m: ends[side].send(m), self._publish, transfer_s=LONGEST_S
-        )
+        self._send = lambda side, message: ends[side].send(message)
+        self.lane = self._new_lane()
         decisions = self.score.decisions_s
-        Wire(world, Upstream(world, self), ends["upstream"], decisions, "receiver")
-        Wire(world, ends["downstream"], Downstream(world, self), decisions, "sender")
+        self._wires = (
+            Wire(world, Upstream(world, self), ends["upstream"], decisions, "receiver"),
+            Wire(world, ends["downstream"], Downstream(world, self), decisions, "sender"),
+        )
+        world.after(world.random.uniform(50, 2000), self._restart)
         self._tick()
+
+    def _new_lane(self) -> Lane:
+        config = Hermes(upstream="upstream", listen="127.0.0.1", places=2, exit_s=2)
+        return Lane(config, STATION, 100.0, self.orders, self._send, self._publish, transfer_s=LONGEST_S)
 
     def run(self) -> Score:
         """Let all boards pass."""
@@ -404,23 +416,52 @@ class Line:
             self.world.after(self.world.random.uniform(SHORTEST_S, LONGEST_S), lambda: self._barrier(board))
 
     def _barrier(self, board: Board) -> None:
-        self._runs, board.where = self._runs + 1, "cameras"
-        run = f"run-{self._runs}"
-        self.orders.barrier(run)
-        self.lane.run_began(run, self.world.now_s)
-        self.world.after(self.world.random.uniform(1, 3), lambda: self._filmed(board, run))
+        self._runs, board.where, now_s = self._runs + 1, "cameras", self.world.now_s
+        self.filmed.append(board)
+        if missed := self.world.random.random() < 0.03:
+            self.orders.missed()
+            self.lane.run_ended(None, now_s)
+        else:
+            self.orders.barrier(f"run-{self._runs}")
+            self.lane.run_began(f"run-{self._runs}", now_s)
+        # No board overtakes another.
+        self._filmed_s = max(self._filmed_s, now_s + (0.0 if missed else self.world.random.uniform(1, 3)))
+        run = None if missed else f"run-{self._runs}"
+        self.world.after(self._filmed_s - now_s, lambda: self._stands_behind(board, run))
 
-    def _filmed(self, board: Board, run: str) -> None:
+    def _stands_behind(self, board: Board, run: str | None) -> None:
+        if board not in self.filmed:
+            return  # the station was killed meanwhile
+        self.filmed.remove(board)
         board.where = "behind"
         self.behind.append(board)
-        self.lane.run_ended(run, self.world.now_s)
+        if run is not None:
+            self.lane.run_ended(run, self.world.now_s)
         if self.world.random.random() < 0.03:
             self.world.after(self.world.random.uniform(0, 10), lambda: self._take_off(board))
+
+    def _restart(self) -> None:
+        """Kill the station and start it again: it knows of the boards behind the barrier what it has kept."""
+        kept, self.started = self.lane.to_keep(), None
+        for wire in self._wires:
+            wire.cut(wire.generation)
+        for board in self.filmed:
+            board.where = "behind"
+        self.behind, self.filmed = [*self.behind, *self.filmed], []
+        self.orders = QueuedOrders(self.world)
+        self.orders.by_messages(True)
+        self.lane = self._new_lane()
+        self.lane.waiting.extend(kept)
+        self.score.restarts += 1
+        self._publish("", "")
+        self.world.after(self.world.random.uniform(50, 2000), self._restart)
 
     def _take_off(self, board: Board) -> None:
         """A person takes a board off behind the cameras, if the station lets him, and says so."""
         if board.where != "behind" or (place := self.behind.index(board)) >= len(self.lane.waiting):
             return
+        if self.lane.waiting[0].doubtful:
+            return  # the page asks for that board first
         if self.lane.remove(self.lane.waiting[place].board_id, self.world.now_s):
             self.behind.remove(board)
             self._end(board, "taken off behind the cameras")
@@ -467,6 +508,7 @@ if __name__ == "__main__":
     score = Line(given.seed, given.boards).run()
     for how, count in sorted(score.counts.items()):
         print(f"{count:6} {how}")
+    print(f"{score.restarts:6} restarts")
     print(f"{len(score.wrong):6} wrong {score.wrong[:5]}")
     median_ms, late_ms = (percentile_ms(score.decisions_s, share) for share in (0.5, 0.99))
     print(f"message to decision: median {median_ms:.2f} ms, p99 {late_ms:.2f} ms")
