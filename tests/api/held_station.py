@@ -239,6 +239,10 @@ class HeldStation(StationCoordinator):
         self.publish("station", "Idle.", state="idle")
         return self.snapshot()
 
+    def require_disarmed(self) -> None:
+        if self.armed is not None:
+            raise StateError("The line is armed; nothing was changed.", code="line-armed")
+
     def board_types(self) -> tuple[BoardTypeSummary, ...]:
         return tuple(BoardTypeSummary(name=n, components=len(t.components)) for n, t in sorted(self.types.items()))
 
