@@ -19,7 +19,6 @@ from tests.peers.certificates import make_certificate
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
-from vaoi_station.model import Status
 
 
 class SetUp(NamedTuple):
@@ -81,8 +80,6 @@ def _started(wanted: SetUp, folder: Path, parts: ExitStack) -> Prefixed:
     keys, audit = KeyFile(folder / "keys.json"), AuditLog(folder / "audit.jsonl")
     parts.callback(audit.close)
     station = HeldStation()
-    station.film()
-    station.film(verdict=Status.FAILED)
     station.film()
     access = AccessControl(keys, audit)
     files = setup_files(folder)
