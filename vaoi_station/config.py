@@ -423,7 +423,7 @@ def conflicts(
                 f"camera {camera.name!r} exposes {camera.exposure_us} us, "
                 f"but pulses follow every {line.shortest_period_s * 1e6:.0f} us"
             )
-    # A board that is given up while it moves may come all the same, and take the order of the board behind it.
+    # A board that is given up while it moves may come nevertheless, and take the order of the board behind it.
     if line is not None and hermes is not None and hermes.longest_transfer_s(line) > line.transport_s[1]:
         yield (
             f"hermes.transfer_s is {hermes.transfer_s:g}, but a board is given up {line.transport_s[1]:g} s after its "

@@ -84,7 +84,7 @@ class Row(NamedTuple):
 
 
 def rows(found: Sequence[Measured], count: int) -> list[Row]:
-    """Return the parts that were measured with so many good boards."""
+    """Return the parts that were measured with this number of good boards."""
     return [
         Row(m.family, package, truth["kind"], truth, said)
         for m in found

@@ -1,7 +1,8 @@
 """The connections to the neighbours: one thread with an event loop, beside the line and never in its way.
 
-The station connects to the machine upstream and listens for the next one; a second machine on the same lane is told
-that the lane is taken. What a neighbour sends is cut into messages, checked by its session, and acted on by the lane.
+The station connects to the machine upstream and listens for the next one; a second machine on the same lane gets
+a notification that the lane is taken. What a neighbour sends is cut into messages, checked by its session, and acted
+on by the lane.
 """
 
 from __future__ import annotations

@@ -300,7 +300,7 @@ def test_what_the_line_was_armed_with_is_for_boards_without_an_order(orders: Ord
     assert [orders.take(t, granted=ORDER).board_id for t in (22.0, 23.0, 24.0)] == ["a", "of all", "of all"]  # type: ignore[union-attr]
     assert (orders.runs_left, orders.wants_more) == (0, False)
     post(orders, "b", now_s=25.0)
-    assert orders.next is not None, "an order that is given later is filmed all the same"
+    assert orders.next is not None, "an order that is given later is filmed nevertheless"
 
 
 def test_boards_of_uncertain_order_count_as_runs_too(orders: Orders) -> None:

@@ -1,6 +1,6 @@
 """Read the points of an IPC-D-356 netlist that a probe can reach.
 
-A record has fixed columns up to the pin; what follows is told by letters. Coordinates are as seen from the top, in
+A record has fixed columns up to the pin; letters say what follows. Coordinates are as seen from the top, in
 0.0001 inch (`CUST 0` and `2`) or 0.001 mm (`CUST 1`). The access is 0 for both sides, 1 for the top, otherwise a layer,
 of which the highest is the bottom. `S` states the sides that solder mask covers: 1 top, 2 bottom, 3 both.
 Source: IPC-D-356A; the exporters of KiCad and pcb-rnd.

@@ -316,7 +316,7 @@ class OrderQueue:
         gone = [c for c in self._coming if c.started_s + self.window_s[1] + LATE_S < now_s]
         for coming in gone:
             self._return(coming, now_s)
-            # It may come all the same, and would take the order of the board behind it.
+            # It may come nevertheless, and would take the order of the board behind it.
             self._silent_until_s = now_s + self.window_s[1]
             self._silent_why = f"board {coming.board.name!r} did not reach the barrier in time, and may come later"
         return [coming.board for coming in gone]
