@@ -1,5 +1,5 @@
-"""Write the generated pages of docs/reference: addresses of REST, commands, keys of station.toml, modules,
-tables of a plant.
+"""Write the generated pages: docs/codes.md, and in docs/reference addresses of REST, commands, keys of station.toml,
+modules and tables of a plant.
 
 python docs/generate.py           # after a change of the interface, the command line or the configuration
 python docs/generate.py --check   # ends with 1 if a page is outdated (tests/project does the same)
@@ -19,11 +19,12 @@ import typer.main
 
 from vaoi_station.api.access import scope_needed
 from vaoi_station.cli import app
+from vaoi_station.model.codes import code_sections
 from vaoi_station.plant.tables import KEY, TABLES
 from vaoi_station.settings.keys import Setting, keys
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ROOT / "docs" / "reference"
+DOCS = ROOT / "docs"
 OPENAPI = ROOT / "tests" / "api" / "openapi.json"
 """The interface as published; tests/api/test_openapi.py holds it equal to the program's."""
 HEAD = "<!-- Written by docs/generate.py: change its source, not this page. -->\n\n"
@@ -68,6 +69,12 @@ MODULES_HEAD = """# Modules
 Each with the first sentence of its docstring, from the bottom of the import order to its top where a contract of
 pyproject.toml states one: a module may import what stands above it. How they work together:
 [architecture](../architecture.md).
+"""
+CODES_HEAD = """# Codes
+
+Every reason, warning, fault and refusal has a `code` for programs, a `message` and mostly an `action` for people. Codes
+are never renamed; sentences may change. A station explains each code at `/problems/CODE`. Cases that need more words:
+[troubleshooting](troubleshooting.md).
 """
 TABLES_HEAD = """# Tables of a plant
 
@@ -312,10 +319,27 @@ def tables() -> str:
     return HEAD + "\n".join(lines).rstrip() + "\n"
 
 
+def codes() -> str:
+    """Return the page of all codes."""
+    lines = [CODES_HEAD]
+    for section in code_sections():
+        lines += [f"## {section.title}\n", f"{section.about}\n"]
+        named = ((", ".join(f"`{c}`" for c in e.codes), e.meaning, e.action) for e in section.codes)
+        lines += _table(("code", "meaning", "what to do"), named)
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
 def pages() -> dict[Path, str]:
     """Return every generated page by its path."""
-    made = {"addresses": addresses, "commands": commands, "modules": modules, "settings": settings, "tables": tables}
-    return {PAGES / f"{name}.md": make() for name, make in made.items()}
+    made = {
+        "reference/addresses": addresses,
+        "reference/commands": commands,
+        "reference/modules": modules,
+        "reference/settings": settings,
+        "reference/tables": tables,
+        "codes": codes,
+    }
+    return {DOCS / f"{name}.md": make() for name, make in made.items()}
 
 
 def main() -> None:

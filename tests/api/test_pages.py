@@ -18,9 +18,7 @@ from vaoi_station.api.problems import KINDS
 from vaoi_station.doctor.runner import MACHINE_CHECKS, STATION_CHECKS
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.model import ReasonCode
-
-CODES = Path(__file__).parents[2] / "docs" / "codes.md"
-"""The list of all codes; tests/project/test_codes.py compares it with the package."""
+from vaoi_station.model.codes import code_sections
 
 
 @pytest.mark.parametrize(
@@ -47,13 +45,22 @@ def test_every_problem_kind_is_explained(untouched_client: Any, kind: str) -> No
     assert untouched_client.get(f"/problems/{kind}").text == f"{title} (HTTP {status}, {kind}).\n{action}\n"
 
 
+def test_every_code_is_explained_at_its_address(untouched_client: Any) -> None:
+    for section in code_sections():
+        for entry in section.codes:
+            for code in {*entry.codes} - {*KINDS}:
+                text = untouched_client.get(f"/problems/{code}").text
+                assert text.startswith(f"{code}\n\n")
+                assert "What to do: " in text
+                assert "](" not in text, "a link of the documents"
+    assert untouched_client.get("/problems/no-such-code").status_code == 404
+
+
 def codes_of(*titles: str) -> set[str]:
     """Return the codes that some sections of the list have."""
-    sections = re.split(r"^## ", CODES.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    tables = [s for s in sections if s.startswith(titles)]
-    assert len(tables) == len(titles)
-    cells = re.findall(r"^\| (`.+?) \|", "".join(tables), re.MULTILINE)
-    return {code for cell in cells for code in re.findall("`(.+?)`", cell)}
+    sections = [section for section in code_sections() if section.title in titles]
+    assert len(sections) == len(titles)
+    return {code for section in sections for entry in section.codes for code in entry.codes}
 
 
 def codes_of_boards() -> set[str]:

@@ -1,21 +1,20 @@
-"""docs/codes.md lists every code that the package can give, except the codes of a result's reasons."""
+"""model/codes.toml, from which docs/codes.md is made, lists every code that the package can give."""
 
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
 from vaoi_station.acquisition.pairing.proof import ACTIONS, Kind
 from vaoi_station.api.problems import KINDS
-from vaoi_station.model import Status
+from vaoi_station.model import ReasonCode, Status
+from vaoi_station.model.codes import code_sections
 from vaoi_station.model.recording import Verdict
 from vaoi_station.store.storage_trouble import CODES
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENT = ROOT / "docs" / "codes.md"
 FAMILIES = {
     "stitch-": {f"stitch-{status}" for status in Status if status is not Status.OK},
     "frames-": {f"frames-{verdict}" for verdict in Verdict if verdict is not Verdict.OK},
@@ -52,33 +51,26 @@ def _values(node: ast.AST) -> Iterator[ast.expr | None]:
             yield value
 
 
-def listed_rows() -> list[list[str]]:
-    """Return the cells of every row of the document's tables, without the heads."""
-    lines = DOCUMENT.read_text(encoding="utf-8").splitlines()
-    return [line.strip("|").split("|") for line in lines if line.startswith("| `")]
-
-
-def test_the_document_lists_every_code() -> None:
+def test_the_list_has_every_code() -> None:
     given = set(given_codes()) - {"", BASE_CLASS}
     composed = {code for code in given if code.endswith("-")}
     assert composed == set(FAMILIES)
-    expected = (given - composed).union(KINDS, CODES, *FAMILIES.values())
-    listed = {code for codes, *_ in listed_rows() for code in re.findall("`(.+?)`", codes)}
+    expected = (given - composed).union(KINDS, CODES, ReasonCode, *FAMILIES.values())
+    listed = {code for section in code_sections() for entry in section.codes for code in entry.codes}
     assert sorted(listed) == sorted(expected)
 
 
 def test_every_code_has_a_meaning_and_an_action() -> None:
-    for codes, meaning, action in listed_rows():
-        assert meaning.strip(), codes
-        assert action.strip(), codes
+    entries = [entry for section in code_sections() for entry in section.codes]
+    assert [e for e in entries if not e.meaning.strip() or not e.action.strip()] == []
 
 
 def test_no_section_lists_a_code_twice() -> None:
-    for section in DOCUMENT.read_text(encoding="utf-8").split("\n## "):
-        listed = re.findall("`(.+?)`", " ".join(line.split("|")[1] for line in section.splitlines() if "| `" in line))
-        assert len(listed) == len(set(listed))
+    for section in code_sections():
+        listed = [code for entry in section.codes for code in entry.codes]
+        assert len(listed) == len(set(listed)), section.title
 
 
 def test_findings_without_an_action_are_no_reasons() -> None:
-    """They explain missing frames only, so they are not in the document."""
+    """They explain missing frames only, so they are not in the list."""
     assert set(get_args(Kind)) - set(ACTIONS) == {"ignored-trigger"}

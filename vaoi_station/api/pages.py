@@ -25,6 +25,7 @@ from vaoi_station.api.addresses import root_of
 from vaoi_station.api.http_caching import REVALIDATE, matches, tag_of
 from vaoi_station.api.middleware import CSP
 from vaoi_station.api.problems import KINDS
+from vaoi_station.model.codes import explain
 
 WEB = Path(__file__).parent / "web"
 HELP = Path(__file__).parents[1] / "help"
@@ -132,7 +133,9 @@ def install(app: FastAPI) -> None:
 
     @app.get("/problems/{kind}", include_in_schema=False)
     async def problem(request: Request, kind: str) -> PlainTextResponse:
-        if kind not in KINDS:
-            raise HTTPException(404, f"{request.url.path} does not exist.")
-        status, title, action = KINDS[kind]
-        return PlainTextResponse(f"{title} (HTTP {status}, {kind}).\n{action}\n")
+        if kind in KINDS:
+            status, title, action = KINDS[kind]
+            return PlainTextResponse(f"{title} (HTTP {status}, {kind}).\n{action}\n")
+        if explanation := explain(kind):
+            return PlainTextResponse(f"{kind}\n\n{explanation}")
+        raise HTTPException(404, f"{request.url.path} does not exist.")

@@ -379,7 +379,7 @@ def _judge_reported(state: dict[str, Any]) -> Finding:
         message = f"is not connected: {message or 'no reason given'}"
         return fault("camera-lost", message, action, name, **figures)
     if message:
-        action = "See docs/explanation/acquisition.md."
+        action = "Do what the message asks; check cable, plugs and switch of this camera, then let a board pass."
         return warning("camera-remark", message, action, name, **figures)
     counted = f"{figures['delivered']} frames delivered, {figures['incomplete']} incomplete"
     if ptp := state.get("ptp"):  # its troubles are warnings of the station

@@ -227,7 +227,9 @@ def judge_status(status: Status) -> Finding:
     message = f"{state}, the light barrier is {barrier}"
     if status.state == State.SAFE:
         reason = Fault(status.fault).name.lower() if status.fault in set(Fault) else str(status.fault)
-        action = "Start the station, which disarms it; find the cause in docs/explanation/acquisition.md."
+        action = "Start the station, which disarms it."
+        if status.fault == Fault.GUARD:
+            action = f"An LED was on for too long: check LED drivers and wiring. {action}"
         return warning(
             "controller-safe", f"{message}; it has entered its safe state ({reason}).", action, "state", **figures
         )

@@ -11,7 +11,7 @@ from vaoi_station.model.frozen_model import Strict
 
 
 class ReasonCode(StrEnum):
-    """Code of a reason of a result, the same in every version. `docs/formats.md` has meaning and action of each.
+    """Code of a reason of a result, the same in every version. `codes.toml` has meaning and action of each.
 
     What else a new one needs: `docs/CONTRIBUTING.md`, "A reason of a verdict, with its code".
     """
@@ -87,7 +87,7 @@ class Note(str):
     """A sentence on what a person should check, as text; programs and translations go by its code and its values.
 
     Attributes:
-        code: what it says (docs/codes.md).
+        code: what it says (codes.toml).
         values: what the sentence states, such as numbers and designators, as they are written in it.
     """
 

@@ -836,7 +836,7 @@ const settings = {
   },
 };
 
-// Gründe eines Urteils, kurz, nach ihrem Code: docs/codes.md, docs/formats.md
+// Gründe eines Urteils, kurz, nach ihrem Code: docs/codes.md
 const reasons = {
   "no-frames": "Von keiner Kamera kam ein brauchbares Einzelbild.",
   "camera-absent": "Eine Kamera hat kein vollständiges Einzelbild geliefert.",
@@ -1086,7 +1086,7 @@ const findings = {
   "address-refused": ["Diese Kamera nimmt ihre neue Adresse nicht an oder behält sie nicht.", "Aus- und wieder einstecken, dann noch einmal; sonst das Werkzeug des Herstellers verwenden."],
   "camera-free-running": ["Diese Kamera sendet Einzelbilder ohne Trigger.", "Ihren Triggereingang prüfen."],
   "camera-stopped-replying": ["Diese Kamera hat während der Prüfung aufgehört zu antworten.", "Kabel und Stromversorgung prüfen; aus- und einschalten."],
-  "camera-remark": ["Die Station meldet etwas zu dieser Kamera.", "Siehe docs/explanation/acquisition.md."],
+  "camera-remark": ["Die Station meldet etwas zu dieser Kamera.", "Tun, was die Meldung verlangt; Kabel, Stecker und Switch dieser Kamera prüfen, dann eine Baugruppe durchlaufen lassen."],
   "cameras-unreported": ["Ein anderer Prozess benutzt die Kameras und meldet ihren Zustand nicht; sie wurden nicht geöffnet.", "Diesen Prozess beenden, dann noch einmal untersuchen."],
   "camera-without-trigger": ["Diese Kamera hat keinen Trigger über eine Leitung.", "Eine Kamera mit Triggereingang verwenden."],
   "camera-without-input": ["Diese Kamera hat den eingestellten Triggereingang nicht.", "trigger_line in station.toml auf einen ihrer Eingänge setzen."],

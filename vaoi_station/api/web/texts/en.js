@@ -726,7 +726,7 @@ const settings = {
   between: "Between tables",
 };
 
-// The reasons of a verdict, in short, by their code: docs/codes.md, docs/formats.md
+// The reasons of a verdict, in short, by their code: docs/codes.md
 const reasons = {
   "no-frames": "No usable frame of any camera arrived.",
   "camera-absent": "A camera delivered no complete frame.",
