@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vaoi_station.files import open_recording, read_board_type, read_calibration
 from vaoi_station.model import BoardType, Calibration, RecordingHead
 from vaoi_station.simulation import Twin, find_scenario, read_scenario
-from vaoi_station.stitching.expectation import turned_by
+from vaoi_station.stitching.expectation import expected_in
 from vaoi_station.stitching.work import StitchSetup
 
 
@@ -42,7 +42,7 @@ class BenchmarkBoard:
             self.head.conveyor_mm_s,
             self.head.trigger_period_s,
             self.board_type,
-            turned_by(self.head.rotation_deg),
+            expected_in(self.head),
             lights=self.head.lights or (),
         )
 

@@ -20,7 +20,7 @@ from vaoi_station.marks import Mark, locate_mark
 from vaoi_station.model import BoardType
 from vaoi_station.stitching.board.board_plane import BoardPlane, board_plane, expected_angle, typical_camera
 from vaoi_station.stitching.components.centres import central_views, measure_component_shift
-from vaoi_station.stitching.expectation import turned_by
+from vaoi_station.stitching.expectation import Expectation
 from vaoi_station.stitching.geometry import ComponentIndex
 
 
@@ -174,7 +174,7 @@ def _angles(run: CheckedRun, plane: BoardPlane) -> list[float]:
     c = run.stitch.cad_matrix
     if c is not None:
         return [math.atan2(c[1][0], c[0][0])]
-    upright = expected_angle(plane, typical_camera(run.cameras), turned_by(0))
+    upright = expected_angle(plane, typical_camera(run.cameras), Expectation())
     return [float(upright + a) for a in _UNKNOWN_RAD]
 
 

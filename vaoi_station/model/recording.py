@@ -56,6 +56,8 @@ class RecordingHead(FrozenModel):
     lights: tuple[str, ...] | None = None
     rotation_deg: Literal[0, 90, 180, 270] | None = None
     """Expected rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
+    skip: tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None = None
+    """Positions of the boards of a panel that were not to be tested, as the order of the board stated."""
     doubts: tuple[str, ...] = ()
     """Doubts about the frames that arose when they were recorded. Each is a reason of the result, which is then not
     ok."""

@@ -10,7 +10,7 @@ from typing import Self
 
 from vaoi_station.errors import InputError
 from vaoi_station.line_config import ExpectedBoard, Line
-from vaoi_station.model import BoardType, Finite, Strict
+from vaoi_station.model import BoardType, Finite, RecordingHead, Strict
 from vaoi_station.model.board_type import Visibility
 
 
@@ -31,10 +31,11 @@ class Expectation:
     """Positions of the boards of a panel that are not to be tested, as an earlier machine has stated."""
 
 
-def turned_by(rotation_deg: int | None) -> Expectation:
-    """Return an expectation that states only the rotation of the board on the belt; None means upright as in CAD."""
+def expected_in(head: RecordingHead) -> Expectation:
+    """Return what a recording states: the rotation of the board on the belt, and which boards are not to be tested."""
     # CAD rotations count counter-clockwise, angles in an image clockwise (docs/conventions.md).
-    return Expectation(angle_rad=-math.radians(rotation_deg)) if rotation_deg else Expectation()
+    angle_rad = -math.radians(head.rotation_deg) if head.rotation_deg else 0.0
+    return Expectation(angle_rad=angle_rad, skipped=head.skip or ())
 
 
 def expectation_of(line: Line, board_type: BoardType) -> Expectation:

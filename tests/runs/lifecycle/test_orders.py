@@ -191,3 +191,20 @@ def test_an_order_whose_board_type_is_gone_is_lost_with_a_message(rig: Any) -> N
     [lost] = resumed.lost
     assert (lost.code, resumed.waiting) == ("order-lost", ())
     assert "The order for board 'b1' of type 'small' is lost" in lost.message
+
+
+def test_what_an_order_skips_is_stored_with_the_recording_of_its_board(rig: Any) -> None:
+    small = rig.coordinator.board_type("small").model_dump()
+    parts = [{"ref": "U1", "center": (10, 10), "width": 4, "height": 4, "panel": panel} for panel in "12"]
+    write_board_type(rig.config.board_types / "small.json", BoardType.model_validate(small | {"components": parts}))
+    post(rig, "b1", skip=("2",))
+    post(rig, "b2")
+    first = armed(rig)
+    rig.board(first)
+    second = rig.peer.expect(messages.Grant)
+    rig.board(second)
+    kept = []
+    for grant in (first, second):
+        rig.result_of(grant.run)
+        kept.append(rig.archive.get(grant.run).head.skip)
+    assert kept == [("2",), None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,12 @@ import pytest
 
 from vaoi_station.errors import InputError, NotFoundError
 from vaoi_station.files import read_calibration, write_calibration
+from vaoi_station.line_config import ExpectedBoard
 from vaoi_station.model import Status, Stitch
+from vaoi_station.model.board_type import Visibility
 from vaoi_station.simulation import Twin, read_scenario, scenario_path
 from vaoi_station.simulation.recording_writer import write_passage
+from vaoi_station.stitching.expectation import StitchTerms
 from vaoi_station.stitching.recordings.opening import OpenedRun, open_run
 from vaoi_station.stitching.recordings.references import teach
 from vaoi_station.stitching.work import stitch_frames
@@ -97,3 +101,19 @@ def test_cameras_of_one_array_may_differ(tmp_path: Path, design: dict[str, objec
     assert len(off) >= 60
     assert np.sqrt((off**2).sum(1).mean()) < 0.05
     assert result.quality["cad_sigma_px"] < 0.05
+
+
+def test_boards_that_were_not_to_be_tested_are_not_demanded_later(kept: Path, tmp_path: Path) -> None:
+    shutil.copytree(kept, tmp_path / "run")
+    path = tmp_path / "run" / "recording.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"skip": ["2"]}))
+    terms = StitchTerms(
+        leading_edge_mm=0.0,
+        conveyor_mm_s=(0.0, 1.0),
+        expected_board=ExpectedBoard(),
+        visibility=Visibility(),
+        channels={},
+    )
+    for opened in (open_run(tmp_path / "run"), open_run(tmp_path / "run", terms=terms)):
+        assert opened.setup.expectation.skipped == ("2",)
+    assert open_run(kept).setup.expectation.skipped == ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from vaoi_station.acquisition.process.messages import RunFinished, RunStarted
 from vaoi_station.config import StationConfig
@@ -97,6 +97,9 @@ class Progress:
     def film(self, report: RunFinished) -> None:
         """Take the final report of the acquisition process, and let the stitcher have the run concluded."""
         self.advance(RunStep.FILMED)
+        if self.order.skip:
+            # Whoever stitches the recording again demands the same boards.
+            report = replace(report, head=report.head.model_copy(update={"skip": self.order.skip}))
         self.recorded = report
         self.stitcher.film(report.head, report.frames)
 

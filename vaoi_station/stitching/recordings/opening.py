@@ -8,7 +8,7 @@ from pathlib import Path
 from vaoi_station.errors import InputError
 from vaoi_station.files import Recording, open_recording, read_board_type, read_calibration
 from vaoi_station.model import Calibration
-from vaoi_station.stitching.expectation import StitchTerms, refuse_unplaceable, turned_by
+from vaoi_station.stitching.expectation import StitchTerms, expected_in, refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import FrameKey, MethodName
 from vaoi_station.stitching.recordings.references import StoredReference, open_reference
 from vaoi_station.stitching.work import Frames, StitchSetup, TaskRunner
@@ -72,12 +72,12 @@ def open_run(
         conveyor_mm_s=head.conveyor_mm_s,
         trigger_period_s=head.trigger_period_s,
         board_type=board_type,
-        expectation=turned_by(head.rotation_deg),
+        expectation=expected_in(head),
         method=method,
         lights=head.lights or (),
     )
     if terms is not None and board_type is not None:
-        expected = terms.expectation(board_type)
+        expected = replace(terms.expectation(board_type), skipped=setup.expectation.skipped)
         setup = replace(setup, expectation=expected, visibility=terms.visibility, channels=terms.channels)
     stored = _open_reference(reference, setup)
     if stored is not None:

@@ -33,7 +33,7 @@ from vaoi_station.geometry import Camera
 from vaoi_station.geometry.transforms import Floats, apply
 from vaoi_station.model import BoardType, Calibration, RecordingHead, Status, Stitch
 from vaoi_station.stitching.board.reference import Reference
-from vaoi_station.stitching.expectation import refuse_unplaceable, turned_by
+from vaoi_station.stitching.expectation import expected_in, refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import FrameKey
 from vaoi_station.stitching.quality.quality_document import AMBIGUOUS
 from vaoi_station.stitching.recordings.origin import cad_terms, with_origin
@@ -198,7 +198,7 @@ def open_reference(directory: Path, cameras: tuple[Camera, ...], board_type: Boa
 
 
 def _setup(recording: Recording, cameras: tuple[Camera, ...], board_type: BoardType) -> StitchSetup:
-    head, expected = recording.head, turned_by(recording.head.rotation_deg)
+    head, expected = recording.head, expected_in(recording.head)
     conveyor = head.conveyor_mm_s, head.trigger_period_s
     return StitchSetup(cameras, *conveyor, board_type, expected, lights=head.lights or ())
 
