@@ -20,9 +20,9 @@ from tests.needs import FILMS
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "docs" / "measured" / "figures.json"
-DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "measured" / "accuracy.md", ROOT / "docs" / "how-to" / "stitch.md")
+DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "measured.md", ROOT / "docs" / "how-to" / "stitch.md")
 CASES = {
-    "paper-1": "the paper's experiment, one camera at 12 px/mm (0.53 to 1.23 mm there, on real hardware)",
+    "paper-1": "the paper's experiment, one camera (there 0.53 to 1.23 mm, real hardware)",
     "paper-2": "belt speed varies by 2 % per row",
     "paper-3": "the board turns while it moves",
     "ulx3s-top": "3 cameras, CAD in inches, y up",
@@ -75,7 +75,7 @@ def rendered(text: str, figures: dict[str, dict[str, Any]]) -> str:
 
 
 def _table(figures: dict[str, dict[str, Any]]) -> str:
-    columns = ("case", "difficulty", "verdict", "position error, px rms / max", "mean, mm", "predicted σ, px")
+    columns = ("case", "difficulty", "verdict", "error, px rms / max", "mean, mm", "predicted σ, px")
     head = f"| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
     rows = (
         f"| {name} | {CASES[name]} | {f['status']} | {f['rms_px']:.3f} / {f['max_px']:.3f} "

@@ -1,6 +1,6 @@
 """Heights of components of the recorded cases.
 
-`python -m tests.cases.heights CASES [NAME…]` prints the table of docs/measured/heights.md.
+`python -m tests.cases.heights CASES [NAME…]` prints the table of docs/measured.md.
 
 Each case is stitched and measured as the commands do, and compared with its truth: parts of at least 0.5 mm that two
 frames or more show; measured means a standard deviation of at most 0.15 mm.

@@ -1,7 +1,7 @@
 """Figures of measured parts: `python -m tests.cases.parts_proof DIR [--set held-out] [--families FROM TO]`.
 
 Measures the boards of `tests.cases.parts_boards`, each with 1, 3 and 5 good boards of its family, and prints the tables
-of docs/measured/parts.md. Good boards are measured, too, each with the others. Intervals are of 95 % (Wilson).
+of docs/measured.md. Good boards are measured, too, each with the others. Intervals are of 95 % (Wilson).
 """
 
 from __future__ import annotations

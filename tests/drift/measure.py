@@ -1,4 +1,4 @@
-"""The tables of docs/measured/calibration.md: one twin camera turned by 0.1°, or none.
+"""The tables of docs/measured.md: one twin camera turned by 0.1°, or none.
 
     python tests/drift/measure.py SCENARIO CAMERA UNDISTURBED KNOCKED [SEED]
 

@@ -1,6 +1,6 @@
 """The written rule: in which drawings a right answer is expected, decided before the station has seen them.
 
-It knows the scenario and the geometry of the film, and nothing of the station. docs/measured/hostile.md states it.
+It knows the scenario and the geometry of the film, and nothing of the station.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit", type=float, default=float("inf"), help="longest time, s")
     parser.add_argument("--out", type=Path, default=Path("soak"), help="folder for raw.json and the station's log")
-    parser.add_argument("--report", nargs="+", metavar="NAME=RAW", help="no soak: renew docs/measured/soak.*")
+    parser.add_argument("--report", nargs="+", metavar="NAME=RAW", help="renew tables and docs/measured/soak.*")
     chosen = parser.parse_args()
     if chosen.report:
         write_report({name: Path(path) for name, _, path in (given.partition("=") for given in chosen.report)})

@@ -1,4 +1,4 @@
-"""The report of soaks: docs/measured/soak.json, soak.svg, and the tables of soak.md."""
+"""The report of soaks: docs/measured/soak.json, soak.svg, and the tables of docs/measured.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BLOCK = re.compile(r"(<!-- soak: (\w+) -->\n)(.*?)(\n<!-- end -->)", re.DOTALL)
 
 
 def write_report(raw: Mapping[str, Path], docs: Path = DOCS) -> None:
-    """Write JSON and plot of soaks, by name, and renew the tables of soak.md."""
+    """Write JSON and plot of soaks, by name, and renew the tables of measured.md beside them."""
     soaks = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in raw.items()}
     series = {name: all_series(soak["samples"]) for name, soak in soaks.items()}
     document = {
@@ -36,9 +36,12 @@ def write_report(raw: Mapping[str, Path], docs: Path = DOCS) -> None:
     }
     (docs / "soak.json").write_text(json.dumps(document, separators=(",", ":")) + "\n", encoding="utf-8")
     (docs / "soak.svg").write_text(plot(series), encoding="utf-8")
-    page = docs / "soak.md"
-    blocks = {name: summary(soak) + "\n\n" + slope_table(series[name]) for name, soak in soaks.items()}
-    blocks |= {f"{name}_faults": fault_table(soak) for name, soak in soaks.items()}
+    page = docs.parent / "measured.md"
+    # Faults end most lives before a slope can be seen.
+    blocks = {
+        name: summary(soak) + "\n\n" + (fault_table(soak) if soak["injected"] else slope_table(series[name]))
+        for name, soak in soaks.items()
+    }
     text = _BLOCK.sub(lambda m: m[1] + blocks.get(m[2], m[3]) + m[4], page.read_text(encoding="utf-8"))
     page.write_text(text, encoding="utf-8")
 
@@ -47,29 +50,24 @@ def summary(soak: Mapping[str, Any]) -> str:
     """Return what has become of the boards of a soak, as a table."""
     accounts, ends = soak["accounts"], soak["ends"]
     verdicts = ", ".join(f"{n} {v}" for v, n in sorted(accounts["verdicts"].items()))
-    reasons = ", ".join(f"{n} `{c}`" for c, n in sorted(accounts["reasons"].items())) or "none"
     latencies = [s["result_ms"] for s in soak["samples"] if s["result_ms"] is not None]
     quantiles = ", ".join(f"{np.percentile(latencies, q):.0f}" for q in (50, 95, 99))
-    largest = max(s["processes"]["station"]["rss_mb"] for s in soak["samples"] if "station" in s["processes"])
     rows = [
         ("runs announced", f"{accounts['announced']} ({verdicts}) in {soak['seconds'] / 60:.0f} min"),
         ("boards missed, each with an event", str(accounts["missed"])),
-        ("reasons of the runs that are still listed", reasons),
         ("runs that are not accounted for", str(len(accounts["finds"]))),
         ("last frame to result, ms: median, 95 %, 99 %", quantiles),
-        ("largest resident memory of the station process, MB", f"{largest:.0f}"),
         ("ends of the station: by a fault of the soak, by itself", f"{ends['wanted']}, {len(ends['own'])}"),
     ]
     return "\n".join(["| | |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)])
 
 
 def slope_table(series: Sequence[Series]) -> str:
-    """Return the slopes with their intervals, as a table."""
-    lines = [
-        "| | median | slope per 1000 boards (interval of 99 %) | judged |",
-        "|---|---|---|---|",
-    ]
-    return "\n".join([*lines, *(f"| {s.name} | {_cells(s.slope)} |" for s in series)])
+    """Return the slopes that differ from zero with their intervals, and the number of the others, as a table."""
+    lines = ["| growth | median | slope per 1000 boards |", "|---|--:|---|"]
+    moving = [s for s in series if s.slope is not None and not s.slope.flat]
+    rows = (f"| {s.name} | {_cells(s.slope)} |" for s in moving if s.slope is not None)
+    return "\n".join([*lines, *rows, f"| {len(series) - len(moving)} other series | | indistinguishable from zero |"])
 
 
 def fault_table(soak: Mapping[str, Any]) -> str:
@@ -117,9 +115,6 @@ def _panel(series: Series, left: float, top: float, colour: str) -> list[str]:
     return out
 
 
-def _cells(slope: Slope | None) -> str:
-    if slope is None:
-        return "– | lives too short | –"
+def _cells(slope: Slope) -> str:
     low, middle, high = (1000 * v for v in (slope.low, slope.per_board, slope.high))
-    judged = "indistinguishable from zero" if slope.flat else "grows" if low > 0 else "falls"
-    return f"{slope.median:.4g} | {middle:+.2g} ({low:+.2g} … {high:+.2g}) | {judged}"
+    return f"{slope.median:.4g} | {middle:+.2g} ({low:+.2g} … {high:+.2g})"

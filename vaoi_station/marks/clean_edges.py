@@ -23,7 +23,7 @@ _LEVEL_SHARE = 0.3
 _ALIKE, _PER_LEVEL_PX = (0.02, 0.08, 0.25), 1.0
 """Differences of a level from those of the other directions, as a share of the contrast, that are accepted in turn,
 until enough directions are left; and displacement of an edge by the border of a smudge, px per share of the contrast.
-Measured: 0.8 px at most on painted marks (docs/measured/marks.md)."""
+Measured: 0.8 px at most on painted marks."""
 _COMMON_LEVEL = 0.12
 """Largest median of these differences: beyond it, what differs is no part of the mark but its light. Smudges of painted
 and filmed marks leave 0.02 to 0.08; a low lamp from one side, which also displaces the edges, 0.19 to 0.22."""

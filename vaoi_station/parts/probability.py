@@ -1,7 +1,7 @@
 """Probabilities and standard deviations of measures, from what the pictures say.
 
 PRESENT, HEIGHT_ALONE, the slope of ALIKE, PLACE and TURN were fitted by `python -m tests.cases.parts_constants DIR` to
-painted boards whose truth is known (docs/measured/parts.md); the others were chosen by looking at such boards.
+painted boards whose truth is known (docs/measured.md); the others were chosen by looking at such boards.
 """
 
 from __future__ import annotations

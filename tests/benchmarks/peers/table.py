@@ -20,7 +20,7 @@ from .strip import STRIPS, Strip, translations
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.json"
-PAGE = HERE.parents[2] / "docs" / "measured" / "peers.md"
+PAGE = HERE.parents[2] / "docs" / "measured.md"
 MARKERS = ("<!-- table -->", "<!-- end of table -->")
 TITLES = {
     "ours": "this station",
@@ -65,11 +65,7 @@ def updated(before: list[Run], new: list[Run]) -> list[Run]:
 
 
 def page_part(runs: list[Run]) -> str:
-    """Return the tables as Markdown."""
-    return "\n".join([*_summary(runs), "", *_details(runs), "", *_circumstances(runs)])
-
-
-def _summary(runs: list[Run]) -> list[str]:
+    """Return the best setting of each stitcher on each strip, as a table in Markdown."""
     lines = ["| | " + " | ".join(f"{s}: px | CPU s" for s in STRIPS) + " |", "|---|" + "--:|--:|" * len(STRIPS)]
     for name, title in TITLES.items():
         cells = []
@@ -77,7 +73,7 @@ def _summary(runs: list[Run]) -> list[str]:
             best = _best(runs, name, strip)
             cells += [_px(best), _seconds(best)] if best else [_no_result(runs, name, strip), "–"]
         lines.append(f"| {title} | " + " | ".join(cells) + " |")
-    return lines
+    return "\n".join(lines)
 
 
 def _no_result(runs: list[Run], name: str, strip: str) -> str:
@@ -87,20 +83,16 @@ def _no_result(runs: list[Run], name: str, strip: str) -> str:
 def _best(runs: list[Run], name: str, strip: str) -> Run | None:
     """Return the setting with the smallest error, among equals the fastest; None if none placed all frames."""
     own = [r for r in runs if (r["name"], r["strip"]) == (name, strip) and r.get("as_it_is", True)]
-    return min((r for r in own if not _verdict(r, runs)), key=lambda r: (r["rms_px"], r.get("cpu_s", 0)), default=None)
+    return min((r for r in own if _placed(r, runs)), key=lambda r: (r["rms_px"], r.get("cpu_s", 0)), default=None)
 
 
-def _verdict(run: Run, runs: list[Run]) -> str:
-    """Return the reason why a run is not counted as a result; empty if it is."""
-    if "failure" in run:
-        return f"gave up: {run['failure'].splitlines()[0][:120]}"
-    if run["dropped"]:
-        return f"{run['dropped']} frames not placed"
+def _placed(run: Run, runs: list[Run]) -> bool:
+    """Return whether a run counts as a result: all frames are placed, and better than by the prior."""
+    if "failure" in run or run["dropped"]:
+        return False
     # A stitcher whose result is worse than its prior has not found the right matches.
-    mechanics = next((r for r in runs if (r["name"], r["strip"]) == ("nominal", run["strip"])), None)
-    if mechanics is not None and run["rms_px"] > mechanics["rms_px"]:
-        return "wrong: worse than the nominal places"
-    return ""
+    prior = next((r for r in runs if (r["name"], r["strip"]) == ("nominal", run["strip"])), None)
+    return prior is None or run["rms_px"] <= prior["rms_px"]
 
 
 def _px(run: Run) -> str:
@@ -108,38 +100,12 @@ def _px(run: Run) -> str:
     return f"{rms:.4f}" if rms < 0.01 else f"{rms:.3f}" if rms < 1 else f"{rms:.2f}"
 
 
-def _seconds(run: Run, key: str = "cpu_s") -> str:
-    return "–" if key not in run else f"{run[key]:.2f}" if run[key] < 10 else f"{run[key]:.0f}"
-
-
-def _details(runs: list[Run]) -> list[str]:
-    lines = [
-        "| stitcher | setting | strip | rms px | max px | CPU s | wall s | runs |",
-        "|---|---|---|--:|--:|--:|--:|--:|",
-    ]
-    order = list(TITLES)
-    for run in sorted(runs, key=lambda r: (order.index(r["name"]), r["setting"], STRIPS.index(r["strip"]))):
-        head = f"| {TITLES[run['name']]} | {run['setting']} | {run['strip']} | "
-        if why := _verdict(run, runs):
-            lines.append(head + f"{why} | – | {_seconds(run)} | {_seconds(run, 'wall_s')} | {run.get('repeats', 1)} |")
-        elif run["name"] != "nominal":
-            figures = (_px(run), f"{run['max_px']:.3f}", _seconds(run), _seconds(run, "wall_s"), str(run["repeats"]))
-            lines.append(head + " | ".join(figures) + " |")
-    return lines
-
-
-def _circumstances(runs: list[Run]) -> list[str]:
-    lines = []
-    for name, title in TITLES.items():
-        of_it = next((r for r in runs if r["name"] == name and "versions" in r), None)
-        if of_it is not None:
-            versions = ", ".join(f"{package} {v}" for package, v in of_it["versions"].items())
-            lines.append(f"- {title}: {versions}; {of_it['machine']}")
-    return lines
+def _seconds(run: Run) -> str:
+    return "–" if "cpu_s" not in run else f"{run['cpu_s']:.2f}" if run["cpu_s"] < 10 else f"{run['cpu_s']:.0f}"
 
 
 def write_page(page: Path, part: str) -> None:
-    """Write the tables between the markers of a page."""
+    """Write the table between the markers of a page."""
     before, found, rest = page.read_text().partition(MARKERS[0])
     _, ended, after = rest.partition(MARKERS[1])
     if not (found and ended):

@@ -114,7 +114,7 @@ _BODY_MM, _COMMON_MM = 0.3, 0.2
 
 The second value is that of the mean height of those points that one pair of frames links. Without them, links on
 components counted like those on the bare board, and estimated a bow of up to 0.8 mm that was not there
-(docs/measured/hostile.md)."""
+in the hostile suite."""
 _SHARE = 0.3
 """Least value of the same, as a share of the component's height.
 

@@ -29,7 +29,7 @@ _LIMIT_PX = 0.4
 """Largest accepted radial error at the corners of a picture. Positions are then wrong by a fifth of it, rms."""
 _BLUR_LIMIT_PX = 2.4
 """Largest blur of a camera's pictures, px. Measured: none of 16 hostile drawings between 2 and 2.4 px and with no other
-reason is wrong; one at 2.5 px is, at a σ that does not say it (docs/measured/hostile.md)."""
+reason is wrong; one at 2.5 px is, at a σ that does not say it."""
 
 
 class LensError(NamedTuple):
