@@ -14,7 +14,7 @@ from vaoi_station.model import Strict
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
 from vaoi_station.runs.run.order import Passing
-from vaoi_station.runs.states.schemas import BoardTypeSummary, Choice, RunSummary
+from vaoi_station.runs.states.schemas import BoardTypeSummary, Choice, FlipAxis, RunSummary
 
 Matrix3 = list[list[float]]
 # Control characters would break the lines of logs and messages, and labels and other programs do not show them.
@@ -63,6 +63,11 @@ class OrderRequest(Strict):
     )
     side: Literal["top", "bottom"] | None = Field(
         default=None, description="The side that is filmed; refused if the board type describes the other one."
+    )
+    flip: FlipAxis | None = Field(
+        default=None,
+        description="Axis of the tester about which the board was turned over since its other side was filmed; "
+        "`boards/{board_id}` compares it.",
     )
     priority: int = Field(default=0, ge=-1000, le=1000, description="Orders of a higher priority come first.")
     allow_lost_cameras: bool = Field(default=False, description="Film the board although a camera is not ready.")

@@ -50,7 +50,7 @@ from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
 from vaoi_station.runs.archive.board_type_history import BoardTypeVersion
-from vaoi_station.runs.board_sides import BoardDocument, join_sides
+from vaoi_station.runs.board_sides import BoardDocument, BoardSide, SideName, join_sides
 from vaoi_station.runs.run.order import Passing
 from vaoi_station.runs.states.schemas import (
     BoardTypeSummary,
@@ -528,6 +528,7 @@ class OrderOptions(TypedDict, total=False):
     job_id: str
     skip: Sequence[str]
     side: Literal["top", "bottom"]
+    flip: Literal["x", "y"]
     priority: int
     allow_lost_cameras: bool
 
@@ -604,7 +605,8 @@ class Station:
         Args:
             board_type: name of the board type.
             **options: `board_id`, `job_id`, `skip` (positions of a panel that are not to be tested), `side` ("top",
-                "bottom": refused if the board type is of the other one), `priority`, `allow_lost_cameras`.
+                "bottom": refused if the board type is of the other one), `flip` (axis of the tester about which the
+                board was turned over since its other side was filmed), `priority`, `allow_lost_cameras`.
         """
         return self._client.write(OrderStatus, "POST", "/orders", {"board_type": board_type, **options})
 
@@ -652,24 +654,26 @@ class Station:
         return found
 
     def board(self, board_id: str, *others: Station, within_s: float = 3600.0) -> BoardDocument:
-        """Return a board with its runs of top and bottom; `others` are stations that film the other side.
+        """Return a board with its runs of top and bottom, and the parts of both in one coordinate system.
 
-        Programs with asyncio give the `blocking` of these.
+        `others` are stations that film the other side. Programs with asyncio give the `blocking` of these.
 
-        NotFoundError: no run of any of them shows a board with this id.
+        NotFoundError: no run of any of them shows a board with this id, and no order is for it.
         """
-        path, sides, missing = f"/boards/{quote(require_text('board', 'board_id', board_id), safe='')}", [], None
+        path, missing = f"/boards/{quote(require_text('board', 'board_id', board_id), safe='')}", None
+        sides, coming = list[BoardSide](), list[SideName]()
         for station in (self, *others):
             try:
-                found = station._client.read(BoardDocument, path, within=within_s)
+                found = station._client.read(BoardDocument, path, within=within_s, parts=True)
             except NotFoundError as error:
                 missing = error
                 continue
-            known = (side for side in (found.top, found.bottom) if side is not None)
+            known = (side for side in (found.top, found.bottom, *found.others) if side is not None)
             sides += [side.model_copy(update={"address": station._client.url(side.address)}) for side in known]
-        if missing is not None and not sides:
+            coming += found.coming
+        if missing is not None and not sides and not coming:
             raise missing
-        return join_sides(board_id, sides, within_s)
+        return join_sides(board_id, sides, within_s, coming)
 
     def counts(self, since: str | datetime | None = None) -> RunCounts:
         """Return the numbers of boards by verdict, and of missed ones, since a time; by default since midnight."""

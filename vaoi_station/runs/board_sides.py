@@ -3,25 +3,49 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from datetime import datetime
-from typing import Literal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from datetime import datetime, timedelta
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from vaoi_station.errors import NotFoundError, VaoiError
-from vaoi_station.model import Reason, Status, Strict
+from vaoi_station.geometry.transforms import Floats
+from vaoi_station.model import BoardType, Reason, Status, Strict
+from vaoi_station.model.board_identity import CodePlace, IdentityDocument
 from vaoi_station.runs.archive.finished_runs import FinishedRun
 from vaoi_station.runs.kept_runs import KeptRuns
-from vaoi_station.runs.states.schemas import RunSummary
+from vaoi_station.runs.states.run_ids import in_utc, utc
+from vaoi_station.runs.states.schemas import FlipAxis, OrderStatus, RunSummary
+from vaoi_station.runs.states.tables import FINISHED
 from vaoi_station.store.run_search import RunFilter
 
 SideName = Literal["top", "bottom"]
+_SIDES: tuple[SideName, SideName] = ("top", "bottom")
 _MOST_RUNS = 20
 """Runs of one id that are read, the newest first."""
 _SAME_MM, _SQUARE_DEG = 1.0, 10.0
 """Sides of one board have outlines that differ by less, and are flipped about an axis that is so near to x or y."""
+_MOST_SHARED, _MOST_NAMED = 0.1, 3
+"""Share of the parts of a side that the other may list too, as logos and holes; parts that a message names."""
+_DAY_S, _MOST_S = 86400.0, 1e9
+Point = tuple[float, float]
+Matrix = tuple[tuple[float, float, float], ...]
+
+
+class SideParts(Strict):
+    """The parts of one side in columns of equal length, in CAD coordinates of the top view, mm, y up, on both sides."""
+
+    address: tuple[str, ...]
+    x_mm: tuple[float, ...]
+    y_mm: tuple[float, ...]
+    width_mm: tuple[float, ...] = Field(description="Of the footprint before its rotation.")
+    height_mm: tuple[float, ...]
+    rotation_deg: tuple[float, ...] = Field(description="Counter-clockwise as seen from the top, on both sides.")
+    unseen: tuple[str, ...] = Field(default=(), description="Addresses of parts of which the frames show too little.")
+    outline_mm: tuple[Point, ...] | None = None
 
 
 class BoardSide(Strict):
@@ -30,15 +54,27 @@ class BoardSide(Strict):
     side: SideName
     run: str
     address: str = Field(description="Of the run; `parts`, `components` and pictures are below it.")
+    station: str = Field(default="", description="Station that filmed an imported run; empty: the one that answers.")
     board_type: str
+    revision: str | None = None
     started: str
-    verdict: Status | None = Field(default=None, description="Absent while the run is stitched, or without a result.")
+    verdict: Status | None = Field(default=None, description="Absent if the run ended without a result.")
+    reasons: tuple[Reason, ...] = ()
     identity: str | None = Field(default=None, description="State of its identity, if the board type has codes.")
     components: int
-    extent_mm: tuple[tuple[float, float], tuple[float, float]] = Field(
-        description="Lowest and highest corner of the board, CAD coordinates of the top view, mm."
+    extent_mm: tuple[Point, Point] = Field(
+        description="Lowest and highest corner of the board, CAD coordinates of the top view, mm, y up."
     )
-    cad_matrix: tuple[tuple[float, float, float], ...] | None = Field(default=None, description="C of the run.")
+    outlined: bool = Field(default=True, description="False: without an outline, `extent_mm` is that of the parts.")
+    cad_matrix: Matrix | None = Field(
+        default=None, description="C of the run, from these CAD coordinates to its tester coordinates."
+    )
+    turn_certain: bool = Field(default=False, description="Whether fiducials or outline exclude a turn by 180°.")
+    code_at_place: bool = Field(
+        default=False, description="Whether a code was read where only an unturned board has one."
+    )
+    flip: FlipAxis | None = Field(default=None, description="As its order states.")
+    parts: SideParts | None = Field(default=None, description="With `parts=true`.")
 
 
 class BoardDocument(Strict):
@@ -49,109 +85,355 @@ class BoardDocument(Strict):
     reasons: tuple[Reason, ...] = ()
     top: BoardSide | None = None
     bottom: BoardSide | None = None
-    flip_axis_deg: float | None = Field(
-        default=None, description="Axis about which the board was flipped from top to bottom, tester coordinates."
+    others: tuple[BoardSide, ...] = Field(
+        default=(),
+        description="Runs of this id that are not joined: earlier ones of a side, and those beyond the time.",
     )
+    coming: tuple[SideName, ...] = Field(
+        default=(), description="Sides that are being filmed or stitched, or for which an order waits."
+    )
+    flip: FlipAxis | None = Field(
+        default=None,
+        description="Axis of the tester about which the board was turned over from top to bottom. Absent: not known, "
+        "or contradictory.",
+    )
+    flip_by: tuple[Literal["order", "codes", "cad"], ...] = Field(
+        default=(), description="What states it: an order; codes at their places; fiducials or outlines."
+    )
+    flip_axis_deg: float | None = Field(default=None, description="The same axis as measured, from x, 0 to 180.")
+
+    def without_parts(self) -> BoardDocument:
+        """Return the document without the parts of its sides."""
+        sides = {"top": self.top, "bottom": self.bottom}
+        return self.model_copy(update={n: s and s.model_copy(update={"parts": None}) for n, s in sides.items()})
 
 
-def sides_of(board_id: str, kept: KeptRuns, finished: Callable[[str], FinishedRun], prefix: str) -> list[BoardSide]:
-    """Return the runs of a board, newest first, by the id that was armed, read or reported.
+class FoundSides(NamedTuple):
+    """The runs of a board, newest first, their board types by run, and the sides that are not finished yet."""
 
-    `prefix` is the address of all runs. Raise NotFoundError if there is none.
+    sides: list[BoardSide]
+    runs: dict[str, FinishedRun]
+    coming: tuple[SideName, ...]
+
+    def with_parts(self, side: BoardSide) -> BoardSide:
+        """Return a side with its parts."""
+        run = self.runs[side.run]
+        parts = parts_of(run.board_type, tuple(part.address for part in run.detail.unseen))
+        return side.model_copy(update={"parts": parts})
+
+
+class Line(NamedTuple):
+    """What a station knows of its runs and orders: its searches, and the state of one run, board type or the queue."""
+
+    kept: KeptRuns
+    finished: Callable[[str], FinishedRun]
+    board_type: Callable[[str], BoardType]
+    orders: tuple[OrderStatus, ...]
+
+
+def find_sides(board_id: str, line: Line, within_s: float, prefix: str) -> FoundSides:
+    """Return the runs of a board by the id that was armed, read or reported, or that a waiting order states.
+
+    `prefix` is the address of all runs. Raise NotFoundError if there is nothing.
     """
-    by_order, _ = kept.history.find(RunFilter(board_id=board_id), _MOST_RUNS, None)
-    by_code, _ = kept.with_id(board_id, RunFilter(), _MOST_RUNS, None)
-    runs: dict[str, RunSummary] = {run.id: run for run in (*by_order, *by_code)}
-    out = []
-    for run in sorted(runs.values(), key=lambda r: r.started, reverse=True):
-        try:
-            known = finished(run.id)
-        except VaoiError:  # It is still under way, or was forgotten meanwhile.
+    sides, runs, coming = list[BoardSide](), dict[str, FinishedRun](), list[SideName]()
+    for run in _summaries(board_id, line.kept, within_s, lambda: {side.side for side in sides} == set(_SIDES)):
+        if run.state not in FINISHED:
+            coming += _side_of(run.board_type, line)
             continue
-        board, stitch, mm = known.board_type, known.stitch, known.board_type.mm_per_unit
-        up = np.array([mm, mm if board.y_axis == "up" else -mm])
-        corners = np.sort(np.array(board.extent()) * up, axis=0).round(4).tolist()
-        matrix = None
-        if stitch is not None and stitch.cad_matrix is not None:
-            # From mm with y up, as the extent: the two sides may be of different units and axes.
-            matrix = tuple(map(tuple, (np.asarray(stitch.cad_matrix) @ np.diag([*(1 / up), 1.0])).tolist()))
-        identity = known.identity
-        out.append(
-            BoardSide(
-                side=board.side,
-                run=run.id,
-                address=f"{prefix}/{run.id}",
-                board_type=board.name,
-                started=run.started,
-                verdict=known.detail.verdict,
-                identity=None if identity is None else identity.state,
-                components=len(board.components),
-                extent_mm=tuple(map(tuple, corners)),
-                cad_matrix=matrix,
-            )
-        )
-    if not out:
+        with suppress(VaoiError):  # It was forgotten meanwhile.
+            runs[run.id] = line.finished(run.id)
+            sides.append(side_of(runs[run.id], f"{prefix}/{run.id}"))
+    coming += [order.side for order in line.orders if order.board_id == board_id]
+    if not sides and not coming:
         raise NotFoundError(
             f"No finished run shows a board with the id {board_id!r}.",
             action="Check the id; runs?board_id= and runs?read_id= search for it.",
             code="unknown-board",
         )
-    return out
+    sides.sort(key=lambda side: side.started, reverse=True)
+    return FoundSides(sides, runs, tuple(side for side in _SIDES if side in coming))
 
 
-def join_sides(board_id: str, sides: Sequence[BoardSide], within_s: float) -> BoardDocument:
-    """Join the newest run of each side; what is missing or contradicts is among the reasons."""
-    newest = max(_time(s) for s in sides)
-    recent = sorted((s for s in sides if newest - _time(s) <= within_s), key=_time)
-    found = {s.side: s for s in recent}
-    top, bottom, reasons = found.get("top"), found.get("bottom"), list[Reason]()
-    if top is None or bottom is None:
-        missing = "top" if top is None else "bottom"
-        message = f"no run within {within_s:g} s of the other side shows the {missing}"
-        reasons.append(
-            Reason(code="side-missing", message=message, action="Film it, ask its station, or ask for a longer time.")
-        )
-    for side in found.values():
-        if side.verdict is not Status.OK:
-            message = f"the {side.side}, run {side.run}, is {side.verdict or 'without a result'}"
-            reasons.append(Reason(code="side-not-ok", message=message, action="See the reasons of the run."))
-        if side.identity == "differs":
-            message = f"the codes of the {side.side}, run {side.run}, state another id"
-            reasons.append(Reason(code="side-of-other-board", message=message, action="Identify the board."))
-    flip = None
-    if top is not None and bottom is not None:
-        apart = float(np.abs(np.ptp(top.extent_mm, axis=0) - np.ptp(bottom.extent_mm, axis=0)).max())
-        if apart > _SAME_MM:
-            message = f"the outlines of {top.board_type!r} and {bottom.board_type!r} differ by {apart:.1f} mm"
-            reasons.append(
-                Reason(code="sides-differ", message=message, action="Check that both board types are of one product.")
-            )
-        flip = _flip(top, bottom, reasons)
-    worst = Status.FAILED if any(s.verdict is Status.FAILED for s in found.values()) else Status.DEGRADED
-    status = worst if reasons else Status.OK
-    return BoardDocument(
-        board_id=board_id, status=status, reasons=tuple(reasons), top=top, bottom=bottom, flip_axis_deg=flip
+def _summaries(board_id: str, kept: KeptRuns, within_s: float, complete: Callable[[], bool]) -> Iterator[RunSummary]:
+    """Yield the runs of a board: those within the time of its newest one; older ones too unless it is complete then."""
+    by_code, _ = kept.with_id(board_id, RunFilter(), _MOST_RUNS, None)
+    newest, _ = kept.history.find(RunFilter(board_id=board_id), 1, None)
+    seen = set[str]()
+    if not (found := [*by_code, *newest]):
+        return
+    last = max(datetime.fromisoformat(run.started) for run in found)
+    # A search that is bounded by time reads few of the station's runs.
+    for since in (in_utc(last - timedelta(seconds=min(within_s, _MOST_S))), None):
+        wanted = RunFilter(board_id=board_id, since=None if since is None else utc(since))
+        found += kept.history.find(wanted, _MOST_RUNS, None)[0]
+        new = {run.id: run for run in found if run.id not in seen}
+        seen.update(new)
+        yield from new.values()
+        if complete():
+            return
+
+
+def _side_of(board_type: str, line: Line) -> list[SideName]:
+    try:
+        return [line.board_type(board_type).side]
+    except VaoiError:  # It was deleted while its board passes.
+        return []
+
+
+def side_of(known: FinishedRun, address: str) -> BoardSide:
+    """Return the side of a board that a run shows."""
+    detail, board, stitch, up = known.detail, known.board_type, known.stitch, _mm_up(known.board_type)
+    matrix = None
+    if stitch is not None and stitch.cad_matrix is not None:
+        # From mm with y up, as the extent: the two sides may be of different units and axes.
+        matrix = tuple(map(tuple, (np.asarray(stitch.cad_matrix) @ np.diag([*(1 / up), 1.0])).tolist()))
+    corners = np.sort(np.array(board.extent()) * up, axis=0).round(4).tolist()
+    return BoardSide(
+        side=board.side,
+        run=detail.id,
+        address=address,
+        station=detail.origin.station if detail.origin else "",
+        board_type=board.name,
+        revision=board.revision,
+        started=detail.started,
+        verdict=detail.verdict,
+        reasons=detail.reasons,
+        identity=None if known.identity is None else known.identity.state,
+        components=len(board.components),
+        extent_mm=tuple(map(tuple, corners)),
+        outlined=board.outline is not None,
+        cad_matrix=matrix,
+        turn_certain=stitch is not None and stitch.quality.get("orientation") == "certain",
+        code_at_place=known.identity is not None and code_at_place(board, known.identity),
+        flip=detail.flip,
     )
 
 
-def _flip(top: BoardSide, bottom: BoardSide, reasons: list[Reason]) -> float | None:
-    """Return the axis of the flip, degrees from 0 to 180; None if it is not known."""
+def parts_of(board: BoardType, unseen: tuple[str, ...] = ()) -> SideParts:
+    """Return the parts of a side in the coordinates that both sides have in common."""
+    up, parts = _mm_up(board), board.components
+    places = np.array([part.center for part in parts], dtype=np.float64).reshape(-1, 2) * up
+    sizes = np.array([(part.width, part.height) for part in parts], dtype=np.float64).reshape(-1, 2) * up[0]
+    outline = None if board.outline is None else (np.array(board.outline) * up).round(4).tolist()
+    return SideParts(
+        address=tuple([part.address for part in parts]),
+        x_mm=tuple(places[:, 0].round(4).tolist()),
+        y_mm=tuple(places[:, 1].round(4).tolist()),
+        width_mm=tuple(sizes[:, 0].round(4).tolist()),
+        height_mm=tuple(sizes[:, 1].round(4).tolist()),
+        rotation_deg=tuple([part.rotation for part in parts]),
+        unseen=unseen,
+        outline_mm=None if outline is None else tuple(map(tuple, outline)),
+    )
+
+
+def _mm_up(board: BoardType) -> Floats:
+    """Return the factors of x and y that take CAD coordinates to mm with y up."""
+    return np.array([1.0, 1.0 if board.y_axis == "up" else -1.0]) * board.mm_per_unit
+
+
+def code_at_place(board: BoardType, identity: IdentityDocument) -> bool:
+    """Return whether a code was read at a place that would be none if the board lay turned by 180°."""
+    places = () if board.identity is None else board.identity.places
+    centre = np.sum(board.extent(), axis=0)
+
+    def within(place: CodePlace, point: Floats) -> bool:
+        return bool((np.abs(point - place.center) <= np.array([place.width, place.height]) / 2).all())
+
+    read = [np.array(code.center) for code in identity.codes]
+    return any(
+        any(within(place, point) for place in places) and not any(within(place, centre - point) for place in places)
+        for point in read
+    )
+
+
+def join_sides(
+    board_id: str,
+    sides: Sequence[BoardSide],
+    within_s: float,
+    coming: Sequence[SideName] = (),
+    with_parts: Callable[[BoardSide], BoardSide] = lambda side: side,
+) -> BoardDocument:
+    """Join the newest run of each side; what is missing or contradicts is among the reasons.
+
+    `with_parts` adds the parts to a side that is joined, if it has none.
+    """
+    ordered = sorted({_key(side): side for side in reversed(sides)}.values(), key=_time, reverse=True)
+    recent = [side for side in ordered if _time(ordered[0]) - _time(side) <= within_s]
+    found = {side.side: with_parts(side) for side in reversed(recent)}
+    chosen = {_key(side) for side in found.values()}
+    others = tuple(side.model_copy(update={"parts": None}) for side in ordered if _key(side) not in chosen)
+    reasons = [
+        reason
+        for name in _SIDES
+        for reason in (
+            _of_side(found[name], recent) if name in found else _of_missing(name, recent, others, coming, within_s)
+        )
+    ]
+    top, bottom = found.get("top"), found.get("bottom")
+    flip = _Flip()
+    if top is not None and bottom is not None:
+        reasons += _differences(top, bottom)
+        flip = _flip(top, bottom, reasons)
+    worst = Status.FAILED if any(reason.code == "side-failed" for reason in reasons) else Status.DEGRADED
+    return BoardDocument(
+        board_id=board_id,
+        status=worst if reasons else Status.OK,
+        reasons=tuple(reasons),
+        top=top,
+        bottom=bottom,
+        others=others,
+        coming=tuple(coming),
+        flip=flip.axis,
+        flip_by=flip.by,
+        flip_axis_deg=flip.axis_deg,
+    )
+
+
+def _of_side(side: BoardSide, recent: Sequence[BoardSide]) -> list[Reason]:
+    """Return what one side has against it."""
+    what, reasons = f"the {side.side}, run {side.run}", list[Reason]()
+    if side.verdict in (None, Status.FAILED):
+        message = f"{what}, {'ended without a result' if side.verdict is None else 'failed'}"
+        reasons.append(Reason(code="side-failed", message=message, action="Film it again."))
+    elif side.verdict is Status.DEGRADED:
+        message = f"{what}, is degraded"
+        reasons.append(Reason(code="side-degraded", message=message, action="See the reasons of the run."))
+    if side.identity == "differs":
+        message = f"the codes of the {side.side}, run {side.run}, state another id"
+        reasons.append(Reason(code="side-of-other-board", message=message, action="Identify the board."))
+    twice = [run for run in recent if run.side == side.side and _key(run) != _key(side)]
+    if len({run.side for run in recent}) > 1 and (good := [run.run for run in twice if run.verdict is Status.OK]):
+        message = f"the {side.side} was filmed again although run {good[0]} of it is ok; {side.run} is the newest"
+        action = "Check that no two boards have this id, or go on with the newest."
+        reasons.append(Reason(code="side-seen-twice", message=message, action=action))
+    return reasons
+
+
+def _of_missing(
+    name: SideName,
+    recent: Sequence[BoardSide],
+    others: Sequence[BoardSide],
+    coming: Sequence[SideName],
+    within_s: float,
+) -> list[Reason]:
+    """Return why a side is not there."""
+    if name in coming:
+        message = f"the {name} is being filmed or stitched, or an order waits for it"
+        return [Reason(code="side-coming", message=message, action="Wait until its run has finished.")]
+    if len({(run.board_type, run.station, run.address.rpartition("/")[0]) for run in recent}) > 1:
+        both = " and ".join(f"{run.run} ({run.board_type!r})" for run in recent[:2])
+        message = f"runs {both} both show the {recent[0].side}"
+        action = "Check the key `side` of both board types, and which side each station films."
+        return [Reason(code="sides-same", message=message, action=action)]
+    old = next((run for run in others if run.side == name), None)
+    if old is not None:
+        apart_s = _time(recent[0]) - _time(old)
+        apart = f"{apart_s / _DAY_S:.1f} days" if apart_s > _DAY_S else f"{apart_s:.0f} s"
+        message = f"the {name}, run {old.run}, was filmed {apart} before the other side; the limit is {within_s:g} s"
+        action = "Check that no two boards have this id, film it again, or ask for a longer time."
+        return [Reason(code="side-too-old", message=message, action=action)]
+    message = f"no run shows the {name}"
+    reasons = [Reason(code="side-missing", message=message, action="Film it, or ask the station that films it.")]
+    if len(recent) > 1 and all(run.verdict is Status.OK for run in recent):
+        message = f"the {recent[0].side} was filmed {len(recent)} times, each time with the verdict ok"
+        action = "Check that no two boards have this id."
+        reasons.append(Reason(code="side-seen-twice", message=message, action=action))
+    return reasons
+
+
+def _differences(top: BoardSide, bottom: BoardSide) -> list[Reason]:
+    """Return what speaks against both sides being of one product."""
+    types, reasons = f"{top.board_type!r} and {bottom.board_type!r}", list[Reason]()
+    one_product = "Check that both board types are of one product."
+    if None not in (top.revision, bottom.revision) and top.revision != bottom.revision:
+        message = f"{types} are of revisions {top.revision!r} and {bottom.revision!r}"
+        action = "Check the board; import both sides from the data of one revision."
+        reasons.append(Reason(code="sides-other-revision", message=message, action=action))
+    if top.outlined and bottom.outlined:
+        a, b = np.array(top.extent_mm), np.array(bottom.extent_mm)
+        apart, moved = float(np.abs(np.ptp(a, axis=0) - np.ptp(b, axis=0)).max()), float(np.abs(a - b).max())
+        if apart > _SAME_MM:
+            message = f"the outlines of {types} differ by {apart:.1f} mm"
+            reasons.append(Reason(code="sides-differ", message=message, action=one_product))
+        elif moved > _SAME_MM:
+            message = f"the outlines of {types} are of one size, but {moved:.1f} mm apart"
+            action = "Import both sides from one file: both need the CAD coordinates of the top view, with one origin."
+            reasons.append(Reason(code="sides-differ", message=message, action=action))
+    if top.parts is not None and bottom.parts is not None:
+        shared = sorted(set(top.parts.address).intersection(bottom.parts.address))
+        if len(shared) > _MOST_SHARED * min(len(top.parts.address), len(bottom.parts.address)):
+            names = ", ".join(shared[:_MOST_NAMED]) + (" …" if len(shared) > _MOST_NAMED else "")
+            message = f"{len(shared)} parts are on both sides, as {names}; {types} list them"
+            reasons.append(Reason(code="sides-differ", message=message, action=one_product))
+    return reasons
+
+
+class _Flip(NamedTuple):
+    axis: FlipAxis | None = None
+    by: tuple[Literal["order", "codes", "cad"], ...] = ()
+    axis_deg: float | None = None
+
+
+def _flip(top: BoardSide, bottom: BoardSide, reasons: list[Reason]) -> _Flip:
+    """Return how the board was turned over; what contradicts is added to the reasons."""
+    stated = sorted({side.flip for side in (top, bottom) if side.flip is not None})
+    order = stated[0] if len(stated) == 1 else None
+    if len(stated) > 1:
+        message = "the orders of both sides state different axes about which the board was turned over"
+        reasons.append(Reason(code="flip-contradicts", message=message, action="Correct `flip` of the orders."))
+        return _Flip()
     if top.cad_matrix is None or bottom.cad_matrix is None:
-        return None
-    (a, _), (b, _) = change = np.array(bottom.cad_matrix)[:2, :2] @ np.linalg.inv(np.array(top.cad_matrix)[:2, :2])
+        return _Flip(order, ("order",) if order else ())
+    measured, axis_deg = _measured_flip(top.cad_matrix, bottom.cad_matrix, reasons)
+    if measured is None:
+        return _Flip(axis_deg=axis_deg)
+    if order is not None and order != measured:
+        doubtful = " and ".join(side.side for side in (top, bottom) if not _certain(side))
+        why = f"the {doubtful} may lie turned by 180°, which its fiducials do not exclude" if doubtful else ""
+        message = f"the order states a flip about {order}, the pictures show one about {measured}"
+        action = "Check how the board lay, and `flip` of the order; do not use positions of either side until then."
+        reasons.append(Reason(code="flip-contradicts", message="; ".join(filter(None, (message, why))), action=action))
+        return _Flip(axis_deg=axis_deg)
+    if order is None and (doubtful := " and ".join(s.side for s in (top, bottom) if not _certain(s))):
+        message = f"nothing tells about which axis the board was turned over: the {doubtful} may lie turned by 180°"
+        action = "State `flip` in the order, or describe a code or an unsymmetrical fiducial in the board type."
+        reasons.append(Reason(code="flip-unknown", message=message, action=action))
+        return _Flip()
+    witnesses = (
+        ("order", order is not None),
+        ("codes", top.code_at_place or bottom.code_at_place),
+        ("cad", top.turn_certain or bottom.turn_certain),
+    )
+    return _Flip(measured, tuple(name for name, says in witnesses if says), axis_deg)  # type: ignore[misc]
+
+
+def _measured_flip(top: Matrix, bottom: Matrix, reasons: list[Reason]) -> tuple[FlipAxis | None, float | None]:
+    """Return the axis that C of both sides states, and its angle."""
+    (a, _), (b, _) = change = np.array(bottom)[:2, :2] @ np.linalg.inv(np.array(top)[:2, :2])
     if np.linalg.det(change) > 0:
         message = "both runs see the board from the same side, or their tester coordinates differ in handedness"
-        reasons.append(
-            Reason(code="sides-not-flipped", message=message, action="Check the key `side` of both board types.")
-        )
-        return None
-    axis = math.degrees(math.atan2(b, a)) / 2 % 180
-    if abs((axis + 45) % 90 - 45) > _SQUARE_DEG:
-        message = f"the board was flipped about an axis at {axis:.1f}°, neither along x nor along y"
-        reasons.append(
-            Reason(code="sides-not-flipped", message=message, action="Check that both runs are of one board.")
-        )
-    return round(axis, 3)
+        action = "Check the key `side` of both board types."
+        reasons.append(Reason(code="sides-not-flipped", message=message, action=action))
+        return None, None
+    # A reflection about a line at the angle t takes the x axis to the angle 2 t.
+    axis_deg = round(math.degrees(math.atan2(b, a)) / 2 % 180, 3)
+    if abs((axis_deg + 45) % 90 - 45) > _SQUARE_DEG:
+        message = f"the board was flipped about an axis at {axis_deg:.1f}°, neither along x nor along y"
+        action = "Check that both runs are of one board."
+        reasons.append(Reason(code="sides-not-flipped", message=message, action=action))
+        return None, axis_deg
+    return ("y" if 45 < axis_deg < 135 else "x"), axis_deg
+
+
+def _certain(side: BoardSide) -> bool:
+    return side.turn_certain or side.code_at_place
+
+
+def _key(side: BoardSide) -> tuple[str, ...]:
+    """Return what is alike where two stations know one run, because one has imported it."""
+    return side.run, side.started, side.side
 
 
 def _time(side: BoardSide) -> float:

@@ -31,6 +31,23 @@ def test_one_side_is_not_the_whole_board(client: Any, station: Any) -> None:
     assert client.get(f"{BOARDS}/SN-1?within=0").status_code == 422
 
 
+def test_a_side_that_is_being_stitched_or_ordered_is_said_to_come(client: Any, station: Any) -> None:
+    station.types["lower"] = station.types["demo-board"].model_copy(update={"name": "lower", "side": "bottom"})
+    order = {"board_type": "lower", "board_id": "SN-1", "flip": "x"}
+    assert client.post("/api/v1/orders", json=order).json()["flip"] == "x"
+    found = client.get(f"{BOARDS}/SN-1").json()
+    assert ([r["code"] for r in found["reasons"]], found["coming"]) == (["side-missing", "side-coming"], ["bottom"])
+    station.film(board_id="SN-1", finish=False)
+    assert client.get(f"{BOARDS}/SN-1").json()["coming"] == ["top", "bottom"]
+
+
+def test_parts_of_a_side_are_listed_if_asked_for(client: Any, station: Any) -> None:
+    station.film(board_id="SN-1")
+    assert client.get(f"{BOARDS}/SN-1").json()["top"].get("parts") is None
+    parts = client.get(f"{BOARDS}/SN-1?parts=true").json()["top"]["parts"]
+    assert (parts["address"], parts["x_mm"]) == (["U1", "R1", "2/R1"], [20.0, 30.0, 50.0])
+
+
 def test_two_stations_show_one_board() -> None:
     upper, lower = HeldStation(), turned_over()
     for station in (upper, lower):
@@ -46,4 +63,19 @@ def test_two_stations_show_one_board() -> None:
     assert found.top is not None
     assert found.bottom is not None
     assert found.bottom.address.startswith(second.url)
-    assert "side-missing" not in [reason.code for reason in found.reasons]
+    assert found.bottom.parts is not None
+    # The held stations share their parts, which no real board does.
+    assert "sides-differ" in (codes := [reason.code for reason in found.reasons])
+    assert not {"side-missing", "side-coming", "side-seen-twice"} & set(codes)
+
+
+def test_two_stations_that_film_the_same_side_are_told_so() -> None:
+    first, second = Served(HeldStation()), Served(HeldStation())
+    try:
+        for served in (first, second):
+            served.station.film(board_id="SN-1")
+        found = vaoi.connect(first.url).board("SN-1", vaoi.connect(second.url))
+    finally:
+        first.stop()
+        second.stop()
+    assert [reason.code for reason in found.reasons] == ["sides-same"]

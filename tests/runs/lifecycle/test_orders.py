@@ -42,7 +42,7 @@ def codes(rig: Any) -> list[str]:
 def test_boards_take_their_orders_and_a_board_without_one_is_missed_visibly(rig: Any) -> None:
     armed(rig, grant=False)
     assert [reason.code for reason in rig.coordinator.snapshot().line_held] == ["no-order"]
-    post(rig, "b1")
+    post(rig, "b1", flip="x")
     post(rig, "b2")
     first = rig.peer.expect(messages.Grant)
     snapshot = rig.coordinator.snapshot()
@@ -52,6 +52,7 @@ def test_boards_take_their_orders_and_a_board_without_one_is_missed_visibly(rig:
     assert (rig.result_of(first.run).board_id, rig.result_of(first.run).job_id) == ("b1", "J1")
     rig.board(second)
     assert rig.result_of(second.run).board_id == "b2"
+    assert [rig.result_of(grant.run).flip for grant in (first, second)] == ["x", None]
     assert rig.coordinator.snapshot().orders_waiting == 0
     rig.peer.report(messages.BoardMissed(time.monotonic(), "no memory was free for its frames"))
     rig.wait_for(lambda: "board-without-order" in codes(rig), "the missed board")
@@ -160,16 +161,16 @@ def test_a_code_that_belongs_to_a_waiting_order_shows_boards_out_of_step(rig: An
 def test_waiting_orders_survive_a_restart_and_are_in_doubt(rig: Any) -> None:
     store = rig.store.standing
     rig.coordinator._core.line._standing = StandingOrder(store)
-    post(rig, "b1", priority=3)
+    post(rig, "b1", priority=3, flip="y")
     post(rig, None)
     armed(rig)
     rig.store.database.write(lambda _: None).result(10)
     resumed = StandingOrder(store).resume(rig.coordinator.board_type, rig.coordinator._make_order)
     assert resumed is not None
     assert resumed.by_orders
-    assert [(q.order.board_id, q.order.job_id, q.priority) for q in resumed.waiting] == [
-        ("b1", "J1", 3),
-        (None, "J1", 0),
+    assert [(q.order.board_id, q.order.job_id, q.priority, q.order.flip) for q in resumed.waiting] == [
+        ("b1", "J1", 3, "y"),
+        (None, "J1", 0, None),
     ]
     line = Core(rig.coordinator._parts).line
     line.resume(resumed)

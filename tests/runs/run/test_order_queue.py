@@ -419,8 +419,8 @@ def test_the_orders_of_boards_on_their_way_follow_the_calibration(orders: Orders
     assert (taken.board_id, taken.calibration_digest) == ("a", "new")
 
 
-def test_a_board_of_uncertain_order_skips_no_positions(orders: Orders) -> None:
+def test_a_board_of_uncertain_order_skips_no_positions_and_has_no_flip(orders: Orders) -> None:
     orders.queue.listen(True, 0.0)
-    taken = orders.take(100.0, "r1", replace(ORDER, board_id="a", job_id="J", skip=("2",)))
+    taken = orders.take(100.0, "r1", replace(ORDER, board_id="a", job_id="J", skip=("2",), flip="x"))
     assert taken is not None
-    assert (taken.board_id, taken.job_id, taken.skip) == (None, None, ())
+    assert (taken.board_id, taken.job_id, taken.skip, taken.flip) == (None, None, (), None)

@@ -14,7 +14,7 @@ from vaoi_station.runs.run.inbox import Inbox
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.order_queue import LineBoard, OrderQueue, Queued
 from vaoi_station.runs.states.run_ids import RunIds, utc
-from vaoi_station.runs.states.schemas import OrderList, OrderStatus
+from vaoi_station.runs.states.schemas import FlipAxis, OrderList, OrderStatus
 
 MakeOrder = Callable[[BoardType, "str | None", "str | None"], Order]
 """Function that checks a board type, and makes an order from it, the board id and the job id."""
@@ -31,6 +31,7 @@ class WantedOrder(NamedTuple):
     job_id: str | None = None
     skip: tuple[str, ...] = ()
     side: Literal["top", "bottom"] | None = None
+    flip: FlipAxis | None = None
     priority: int = 0
     allow_lost_cameras: bool = False
 
@@ -70,9 +71,8 @@ class OrderRequests:
         if wanted.side not in (None, order.board_type.side):
             allowed = f"{order.board_type.side}, the side that board type {wanted.board_type!r} describes"
             raise InputError.field("order", "side", wanted.side, allowed)
-        order = replace(
-            order.for_board(wanted.board_id, wanted.job_id, wanted.skip), despite_lost_cameras=wanted.allow_lost_cameras
-        )
+        order = order.for_board(wanted.board_id, wanted.job_id, wanted.skip, wanted.flip)
+        order = replace(order, despite_lost_cameras=wanted.allow_lost_cameras)
         queued = Queued(self._ids.next(), order, wanted.priority, utc())
         return self._change(lambda queue, now_s: queue.add(queued, now_s), queued.id)
 

@@ -13,7 +13,7 @@ from vaoi_station.line_config import Line
 from vaoi_station.model import BoardType, Calibration, Reason
 from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
-from vaoi_station.runs.states.schemas import ArmedWith
+from vaoi_station.runs.states.schemas import ArmedWith, FlipAxis
 from vaoi_station.stitching.expectation import expectation_of, refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
@@ -51,8 +51,11 @@ class Order:
     """The line as the board type needs it; None: as in station.toml."""
     skip: tuple[str, ...] = ()
     """Positions of the boards of a panel that are not to be tested."""
+    flip: FlipAxis | None = None
 
-    def for_board(self, board_id: str | None, job_id: str | None, skip: tuple[str, ...] = ()) -> Order:
+    def for_board(
+        self, board_id: str | None, job_id: str | None, skip: tuple[str, ...] = (), flip: FlipAxis | None = None
+    ) -> Order:
         """Return the order for another board of its type; InputError: a position to skip does not exist."""
         positions = {str(c.panel): None for c in self.board_type.components if c.panel is not None} if skip else {}
         if wrong := [position for position in skip if position not in positions]:
@@ -63,7 +66,7 @@ class Order:
         setup = self.setup
         if skip != setup.expectation.skipped:
             setup = replace(setup, expectation=replace(setup.expectation, skipped=skip))
-        return replace(self, board_id=board_id, job_id=job_id, skip=skip, setup=setup)
+        return replace(self, board_id=board_id, job_id=job_id, skip=skip, flip=flip, setup=setup)
 
     @property
     def draft(self) -> Reason | None:

@@ -200,7 +200,7 @@ class OrderQueue:
 
         def again(order: Order) -> Order:
             new = made.get(order.board_type.name, order)
-            new = new.for_board(order.board_id, order.job_id, order.skip)
+            new = new.for_board(order.board_id, order.job_id, order.skip, order.flip)
             return replace(new, despite_lost_cameras=order.despite_lost_cameras)
 
         self._arrange(tuple(replace(queued, order=again(queued.order)) for queued in self.waiting), now_s)

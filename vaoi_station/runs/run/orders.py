@@ -200,6 +200,7 @@ class Orders:
                 job_id=queued.order.job_id,
                 skip=queued.order.skip,
                 side=queued.order.board_type.side,
+                flip=queued.order.flip,
                 priority=queued.priority,
                 state="coming" if coming else "waiting",
                 certain=coming or self.queue.by_messages or self.doubt_of(queued.since_s, known_s) is None,

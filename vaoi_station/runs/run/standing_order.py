@@ -11,6 +11,7 @@ from vaoi_station.errors import VaoiError
 from vaoi_station.model import BoardType, Reason
 from vaoi_station.runs.run.order import Order
 from vaoi_station.runs.run.order_queue import Queued
+from vaoi_station.runs.states.schemas import FlipAxis
 from vaoi_station.store.documents import KeyedTexts
 
 _KEY, _WAITING_KEY = "armed", "orders"
@@ -40,6 +41,7 @@ class _Waiting(BaseModel):
     board_id: str | None = None
     job_id: str | None = None
     skip: tuple[str, ...] = ()
+    flip: FlipAxis | None = None
     priority: int = 0
     allow_lost_cameras: bool = False
     created: str = ""
@@ -98,6 +100,7 @@ class StandingOrder:
                 board_id=queued.order.board_id,
                 job_id=queued.order.job_id,
                 skip=queued.order.skip,
+                flip=queued.order.flip,
                 priority=queued.priority,
                 allow_lost_cameras=queued.order.despite_lost_cameras,
                 created=queued.created,
@@ -147,7 +150,7 @@ class StandingOrder:
                 name = kept.board_type
                 if name not in made:
                     made[name] = make_order(get_board_type(name), None, None)
-                order = made[name].for_board(kept.board_id, kept.job_id, kept.skip)
+                order = made[name].for_board(kept.board_id, kept.job_id, kept.skip, kept.flip)
             except VaoiError as error:
                 of = "without id" if kept.board_id is None else repr(kept.board_id)
                 message = f"The order for board {of} of type {name!r} is lost: {error.message}"

@@ -20,6 +20,8 @@ from vaoi_station.stitching.expectation import StitchTerms
 ImageFormat = Literal["png", "jpeg", "tiff", "npy"]
 
 
+FlipAxis = Literal["x", "y"]
+"""Axis of the tester about which a board was turned over since its other side was filmed."""
 Choice = Literal["film-again", "use"]
 """`film-again`: film the board again, do not use these pictures. `use`: use them in spite of the verdict."""
 
@@ -142,6 +144,7 @@ class OrderStatus(Strict):
     skip: tuple[str, ...] = ()
     """Positions of the boards of a panel that are not to be tested."""
     side: Literal["top", "bottom"] = "top"
+    flip: FlipAxis | None = None
     priority: int = 0
     state: Literal["waiting", "coming"] = "waiting"
     """`coming`: its board is on its way from the machine upstream to the barrier."""
@@ -456,6 +459,8 @@ class RunDetail(RunSummary):
     """Generation of that bay for this run; while the bay's table has another one, its pixels are of another run."""
     unseen: tuple[Unseen, ...] = ()
     skipped_boards: tuple[str, ...] = ()
+    flip: FlipAxis | None = None
+    """Axis of the tester about which the board was turned over since its other side was filmed, as its order states."""
 
 
 class ComponentSummary(Strict):
