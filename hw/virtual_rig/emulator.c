@@ -20,7 +20,7 @@
 #define ADDRESS_TCCR1A 0x80
 
 struct output { const char *name; uint8_t com_shift; uint8_t level; };
-static struct output outputs[] = {{"PB1", 6, 0}, {"PB2", 4, 0}, {"PD4", 0, 0}, {"PD5", 0, 0}, {"PD6", 0, 0}, {"PD7", 0, 0}, {"PC0", 0, 0}};
+static struct output outputs[] = {{"PB1", 6, 0}, {"PB2", 4, 0}, {"PD4", 0, 0}, {"PD5", 0, 0}, {"PD6", 0, 0}, {"PD7", 0, 0}, {"PC0", 0, 0}, {"PC1", 0, 0}, {"PC2", 0, 0}};
 static uint8_t inputs[26][8]; /* levels by port letter and bit, to be applied again after a reset */
 
 avr_t *avr;
@@ -294,6 +294,7 @@ static void start(const char *path)
     /* STDIO would echo on the console; POLL_SLEEP would sleep whenever the firmware polls the UART. */
     flags &= (uint32_t)~(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    for (int bit = 3; bit < 6; bit++) set_input((char[]){'P', 'C', (char)('0' + bit), 0}, 1); /* open contacts are pulled up */
     for (size_t k = 0; k < sizeof outputs / sizeof *outputs; k++)
         avr_irq_register_notify(pin(outputs[k].name), on_output, &outputs[k]);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);

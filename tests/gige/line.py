@@ -10,10 +10,8 @@ from vaoi_station.acquisition.clocks import ClockReading, DeviceClock
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
     BarrierClear,
-    ControllerLimits,
+    Controller,
     EventQueue,
-    LineOutput,
-    Permit,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -22,7 +20,7 @@ from vaoi_station.errors import StateError
 from vaoi_station.supervised_thread import SupervisedThread
 
 
-class ScriptedController:
+class ScriptedController(Controller):
     """A `Controller` that fires when the test says so."""
 
     def __init__(self) -> None:
@@ -44,21 +42,6 @@ class ScriptedController:
 
     def read_clock(self) -> ClockReading:
         return self._clock.read()
-
-    def permit_board(self, permit: Permit | None) -> None:
-        pass
-
-    def line_output(self) -> LineOutput | None:
-        return None
-
-    def limits(self) -> ControllerLimits:
-        return ControllerLimits()
-
-    def barrier_blocked(self) -> None:
-        """Return None: no board is there before its edge is reported."""
-
-    def is_watching(self) -> bool:
-        return True
 
     def health(self) -> str:
         return "scripted"

@@ -78,7 +78,7 @@ def test_a_controller_that_is_fit_and_stays_as_it_is(paced: PacedChip) -> None:
     clock = found.pop("clock")
     assert (clock.level is Level.OK) == ("but the limit" not in clock.message), clock
     assert {finding.level for finding in found.values()} == {Level.OK}, found
-    assert found["firmware"].figures["firmware"] == "1.3.1"
+    assert found["firmware"].figures["firmware"] == "1.4.0"
     assert found["limits"].figures["channel_2_longest_us"] == 500.0
     for name in ("state", "boots", "config_crc", "events_first", "events_next", "run", "row", "events_lost"):
         assert getattr(after, name) == getattr(before, name), name
@@ -118,7 +118,7 @@ def test_an_encoder_is_judged_by_what_it_counts() -> None:
             "tail_s": 0.48, "longest_board_mm": 60.0, "pacing": "encoder", "encoder": {"counts_per_mm": 20.0},
         }
     )  # fmt: skip
-    first = Status.unpack(bytes(48))
+    first = Status.unpack(bytes(52))
 
     def judged(counts: int) -> Finding:
         last = replace(first, position=counts % (1 << 32), tick=2_000_000)

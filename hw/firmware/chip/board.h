@@ -7,6 +7,9 @@
  * PD4..PD7 D4..D7  out  LED channels 0 to 3; a LED is lit while its channel and the gate are both high
  * PC0 A0   out  line ready, high = a board may come; pull-down outside. A0, because bootloaders blink D13 and a
  *               programmer drives D11 to D13
+ * PC1 A1   out  board available to the next machine, PC2 A2 failed board available; high = closed, pull-downs outside
+ * PC3..PC5 A3..A5  in   board available and failed board available of the machine upstream, machine ready of the next one;
+ *               low = closed (pulled by the receiver's output, not here)
  * PD0 RX, PD1 TX   serial port, 250 000 baud, which 16 MHz divides exactly (115 200 would be 2.1 % off)
  *
  * Port B is written only in outputs.c, and only with zeros: the compare units drive its outputs.
@@ -24,6 +27,11 @@
 #define TRIGGER_PIN (1 << PB1)
 #define GATE_PIN (1 << PB2)
 #define LINE_READY_PIN (1 << PC0)
+#define AVAILABLE_OUT_PIN (1 << PC1)
+#define FAILED_OUT_PIN (1 << PC2)
+#define AVAILABLE_IN_PIN (1 << PC3)
+#define FAILED_IN_PIN (1 << PC4)
+#define NEXT_READY_PIN (1 << PC5)
 #define CHANNEL_SHIFT PD4
 #define CHANNEL_PINS (0xF << CHANNEL_SHIFT)
 #define ENCODER_A (1 << PD2)

@@ -87,6 +87,13 @@ void inputs_start(void)
 
 uint8_t barrier_level(void) { return (PINB & BARRIER_PIN) != 0; }
 
+uint8_t contacts_read(void)
+{
+    const uint8_t open = PINC;
+    return (open & AVAILABLE_IN_PIN ? 0 : CONTACT_AVAILABLE) | (open & FAILED_IN_PIN ? 0 : CONTACT_FAILED) |
+           (open & NEXT_READY_PIN ? 0 : CONTACT_NEXT_READY);
+}
+
 uint8_t take_edge(struct edge *edge)
 {
     if (edges_in == edges_out) return 0;

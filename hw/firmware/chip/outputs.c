@@ -111,7 +111,7 @@ void outputs_start(void)
     all_low(); /* low before they are outputs */
     DDRB |= TRIGGER_PIN | GATE_PIN;
     DDRD |= CHANNEL_PINS;
-    DDRC |= LINE_READY_PIN;
+    DDRC |= LINE_READY_PIN | AVAILABLE_OUT_PIN | FAILED_OUT_PIN;
     TIMSK1 |= (1 << OCIE1A) | (1 << OCIE1B);
     OCR2A = F_CPU / 1000000UL * GUARD_TICK_US / 64 - 1;
     TCCR2A = 1 << WGM21; /* CTC mode: from 0 to OCR2A */
@@ -132,6 +132,15 @@ uint8_t ready_output(uint8_t high)
         }
     }
     return level;
+}
+
+/* Each pin by an instruction of its own, which no interrupt divides. */
+void contacts_output(uint8_t closed)
+{
+    if (closed & CONTACT_OFFERED) PORTC |= AVAILABLE_OUT_PIN;
+    else PORTC &= (uint8_t)~AVAILABLE_OUT_PIN;
+    if (closed & CONTACT_OFFERED_FAILED) PORTC |= FAILED_OUT_PIN;
+    else PORTC &= (uint8_t)~FAILED_OUT_PIN;
 }
 
 uint8_t guard_ticks(void) { return guard_count; }

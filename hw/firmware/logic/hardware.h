@@ -18,6 +18,11 @@ void outputs_off(void);
 /* Sets the output "line ready" and returns its level: it stays low while the barrier is blocked. */
 uint8_t ready_output(uint8_t high);
 
+/* The contacts of the neighbours that are closed: the inputs of enum contact. */
+uint8_t contacts_read(void);
+/* Closes the contacts to the next machine that are in `closed`, the outputs of enum contact, and opens the others. */
+void contacts_output(uint8_t closed);
+
 /* Encoder counts since the reset. */
 int32_t encoder_position(void);
 /* Records the time at which the encoder reaches a position; the present time if it is beyond it already. */

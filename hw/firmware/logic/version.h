@@ -3,8 +3,8 @@
 #define VERSION_H
 
 #define FIRMWARE_MAJOR 1
-#define FIRMWARE_MINOR 3
-#define FIRMWARE_PATCH 1
+#define FIRMWARE_MINOR 4
+#define FIRMWARE_PATCH 0
 
 #ifndef FIRMWARE_BUILD
 #define FIRMWARE_BUILD "" /* set by `make` to the commit */

@@ -7,11 +7,14 @@ static struct controller controller;
 static struct receiver receiver;
 
 /* What may be known about the output "line ready" without its rules. */
-static struct { uint8_t blocked, stated; ticks_t stated_at; } outside;
+static struct { uint8_t blocked, stated, offered; ticks_t stated_at, offered_at; } outside;
 
 /* Returns the first violation of the chip's limits or of the output's promises in words, or NULL. */
 const char *bridge_violation(ticks_t now)
 {
+    if (chip_offered() && (!outside.offered || now - outside.offered_at > MS((uint32_t)READY_LONGEST_MS)))
+        return "a board is offered without a host";
+    if (chip_offered() && controller.state == STATE_SAFE) return "a board is offered in the safe state";
     if (chip_violation() || !chip_ready()) return chip_violation();
     if (!outside.stated || now - outside.stated_at > MS((uint32_t)READY_LONGEST_MS)) return "line ready without a host";
     if (controller.interlock.permit == PERMIT_TEST) return controller.state == STATE_IDLE ? NULL : "a test while armed";
@@ -54,6 +57,10 @@ uint32_t bridge_talk(const uint8_t *bytes, uint32_t count, uint8_t *frames, tick
             if (reply.type == (MSG_READY | MSG_REPLY)) {
                 outside.stated = 1;
                 outside.stated_at = now;
+            }
+            if (reply.type == (MSG_OFFER | MSG_REPLY)) {
+                outside.offered = 1;
+                outside.offered_at = now;
             }
             size += make_frame(frames + size, reply.type, message_sequence(&receiver), reply.payload, reply.size);
         }

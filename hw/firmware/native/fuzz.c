@@ -55,6 +55,13 @@ static uint8_t make_payload(uint8_t type, uint8_t *payload)
         memcpy(payload, &ready, sizeof ready);
         return sizeof ready;
     }
+    case MSG_OFFER: {
+        uint16_t least_ms = (uint16_t)random_below(20);
+        struct offer_request offer = {(uint16_t)random_below(4), (uint16_t)random_below(1100), (uint8_t)(random_below(4) << 4), 0,
+                                      least_ms, (uint16_t)(least_ms + random_below(100))};
+        memcpy(payload, &offer, sizeof offer);
+        return sizeof offer;
+    }
     case MSG_CLOCK: case MSG_READ_EVENT: case MSG_ACK_EVENTS: return 4;
     default: return 0;
     }
@@ -102,7 +109,7 @@ static void fire_as_fast_as_possible(void)
 static void send_random(void)
 {
     uint8_t payload[PAYLOAD_LONGEST], noise[80];
-    uint8_t type = random_below(10) ? 1 + random_below(14) : (uint8_t)random_below(256);
+    uint8_t type = random_below(10) ? 1 + random_below(16) : (uint8_t)random_below(256);
     if ((type == MSG_SAFE || type == MSG_DISARM) && random_below(5)) type = MSG_CLOCK; /* else hardly any run would last */
     switch (random_below(12)) {
     case 0:
@@ -125,6 +132,7 @@ static void pass_time(void)
     for (uint32_t k = random_below(30); k > 0; k--) {
         now += random_below(12) ? US(64) : random_below(random_below(50) ? MS(6) : MS(3500));
         if (random_below(20) == 0) bridge_edge(now, blocked ^= 1);
+        if (random_below(40) == 0) chip_close((uint8_t)random_below(8));
         if (random_below(3) == 0) bridge_encoder(position += (int32_t)random_below(40) - 4);
         bridge_poll(now);
         ready_polls += chip_ready();

@@ -17,6 +17,7 @@ static struct {
     ticks_t reached_at;
     uint32_t pulses;
     uint8_t ready;
+    uint8_t neighbours, offered;    /* contacts: inputs and outputs that are closed */
     uint64_t time;                  /* ticks since the reset, without wrapping */
     int64_t lit[LED_CHANNELS];      /* light minus allowance, scaled */
     int64_t lowest[LED_CHANNELS];   /* minimum of that since the reset */
@@ -112,6 +113,14 @@ void outputs_off(void) { chip.waiting = chip.unreported = chip.ready = 0; }
 uint8_t ready_output(uint8_t high) { return chip.ready = high; }
 
 uint8_t chip_ready(void) { return chip.ready; }
+
+uint8_t contacts_read(void) { return chip.neighbours; }
+
+void contacts_output(uint8_t closed) { chip.offered = closed & (CONTACT_OFFERED | CONTACT_OFFERED_FAILED); }
+
+void chip_close(uint8_t contacts) { chip.neighbours = contacts; }
+
+uint8_t chip_offered(void) { return chip.offered; }
 
 int32_t encoder_position(void) { return chip.position; }
 

@@ -12,6 +12,10 @@ void chip_set_encoder(int32_t position);
 uint32_t chip_pulses(void);
 /* Level of the output "line ready". */
 uint8_t chip_ready(void);
+/* Closes these contacts of the neighbours, and opens the others. */
+void chip_close(uint8_t contacts);
+/* The contacts to the next machine that are closed. */
+uint8_t chip_offered(void);
 /* The first violation of limits.h in words, or NULL. */
 const char *chip_violation(void);
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from queue import SimpleQueue
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from vaoi_station.acquisition.cameras.interface import DeviceFault
 from vaoi_station.acquisition.clocks import ClockReading
@@ -147,6 +147,37 @@ class LineOutput:
 
 
 @dataclass(frozen=True)
+class BoardOffer:
+    """A board behind the cameras that the contacts to the next machine offer, until the controller says it is taken."""
+
+    number: int
+    """Another one for each board, from 1 to 65535."""
+    failed: bool
+    """Whether "failed board available" closes, and not "board available"."""
+    until_s: float
+    """time.monotonic() until which it is valid; the station renews it before."""
+    exit_s: tuple[float, float]
+    """Shortest and longest time in which the board leaves; a machine that is not ready any more sooner has none."""
+
+
+class Contacts(NamedTuple):
+    """The contacts of the neighbours by IPC-SMEMA-9851; True: closed."""
+
+    available: bool = False
+    """The machine upstream has a board."""
+    failed: bool = False
+    """The machine upstream has a failed board."""
+    next_ready: bool = False
+    """The next machine takes a board."""
+    offered: bool = False
+    """A board is offered to the next machine."""
+    offered_failed: bool = False
+    """A failed board is offered to the next machine."""
+    taken: int = 0
+    """Number of the board that the next machine has taken last; 0: none since the controller's start."""
+
+
+@dataclass(frozen=True)
 class ControllerEvent:
     """An event of the controller, numbered from 0 without gaps; `time_s` is the controller's own time."""
 
@@ -181,6 +212,13 @@ class BarrierBlockedAgain(BarrierEdge):
 class BarrierClearAfterRun(BarrierEdge):
     """The end of an interruption outside a run: of a board that was refused, that stood in the barrier when the line
     was armed, or whose run had ended."""
+
+
+@dataclass(frozen=True)
+class ContactsChanged(ControllerEvent):
+    """A change of a contact, or the levels at the time from which on changes are reported."""
+
+    contacts: Contacts
 
 
 @dataclass(frozen=True)
@@ -260,6 +298,14 @@ class Controller(Protocol):
 
     def line_output(self) -> LineOutput | None:
         """Return the state of the output "line ready"; None if there is none. Does not wait for the device."""
+        return None
+
+    def offer_board(self, offer: BoardOffer | None) -> None:  # noqa: ARG002
+        """Offer a board to the next machine by contacts; None opens them. At once."""
+        return
+
+    def contacts(self) -> Contacts | None:
+        """Return the contacts of the neighbours; None if they are not used. Does not wait for the device."""
         return None
 
     def barrier_blocked(self) -> bool | None:

@@ -1,4 +1,4 @@
-"""The serial protocol of the trigger controller without any port (hw/protocol.md, version 1.3).
+"""The serial protocol of the trigger controller without any port (hw/protocol.md, version 1.4).
 
 A frame is COBS(type, sequence, payload, CRC-16/CCITT-FALSE) and a zero (Cheshire and Baker, 1999). Messages are
 little-endian, without padding, in ticks of 0.5 µs; `hw/protocol_vectors.json` has examples. Every request may be
@@ -17,7 +17,7 @@ from enum import IntEnum
 from struct import Struct
 from typing import Any, ClassVar, TypeVar
 
-from vaoi_station.acquisition.controller.interface import Permit
+from vaoi_station.acquisition.controller.interface import BoardOffer, Contacts, Permit
 from vaoi_station.errors import DeviceError
 
 PAYLOAD_LONGEST = 58
@@ -93,7 +93,7 @@ def uncob(frame: bytes) -> bytes | None:
     return None if b"\0" in frame else b"\0".join(parts)
 
 
-VERSION = (1, 3)
+VERSION = (1, 4)
 TICK_S = 0.5e-6
 ROW_NONE = 0xFFFF
 PERMIT_TEST = 0
@@ -119,6 +119,7 @@ class Type(IntEnum):
     ACK_EVENTS = 0x0D
     READY = 0x0E
     WIDTH = 0x0F
+    OFFER = 0x10
     EVENT = 0xC0
     NAK = 0xFF
 
@@ -172,6 +173,7 @@ class Kind(IntEnum):
     RUN_END = 5
     FAULT = 6
     EDGE = 7
+    CONTACTS = 8
 
 
 class Suppressed(IntEnum):
@@ -304,7 +306,7 @@ class Ident(_Wire):
 class Status(_Wire):
     """The state of the controller, sent in reply to STATUS and BEAT."""
 
-    LAYOUT = Struct("<4BHH6I6HBBH")
+    LAYOUT = Struct("<4BHH6I6HBBHBxH")
     GROWS = True
     OLDEST_BYTES = 44
     state: int
@@ -328,6 +330,13 @@ class Status(_Wire):
     ready: int = 0
     hold: int = Hold.NONE
     permit: int = 0
+    contacts: int = 0
+    taken: int = 0
+
+    @property
+    def closed(self) -> Contacts:
+        """The contacts of the neighbours that are closed."""
+        return contacts_of(self.contacts, self.taken)
 
 
 @dataclass(frozen=True)
@@ -409,6 +418,29 @@ def fire_one(nonce: int, step: Step, trigger_width: int) -> Request:
 def ready(permit: int, hold_ms: int) -> Request:
     """Return the request that permits one board for a time; `hold_ms` 0 withdraws the permit."""
     return Request(Type.READY, permit.to_bytes(2, "little") + hold_ms.to_bytes(2, "little"))
+
+
+MOST_OFFER_MS = 0xFFFF
+"""Longest time until a board counts as taken, ms."""
+
+
+OFFER_MINOR = 4
+"""The minor version that added OFFER."""
+
+
+def contacts_of(bits: int, taken: int) -> Contacts:
+    """Return the contacts by the bits of STATUS and of the event CONTACTS."""
+    available, failed, next_ready, offered, offered_failed = (bool(bits >> k & 1) for k in (0, 1, 2, 4, 5))
+    return Contacts(available, failed, next_ready, offered, offered_failed, taken)
+
+
+def offer(offered: BoardOffer | None, hold_ms: int) -> Request:
+    """Return the request that offers a board to the next machine by contacts; `hold_ms` 0 withdraws the offer."""
+    if offered is None:
+        return Request(Type.OFFER, bytes(10))
+    times_ms = (min(round(time_s * 1e3), MOST_OFFER_MS) for time_s in offered.exit_s)
+    contacts = 0x20 if offered.failed else 0x10
+    return Request(Type.OFFER, Struct("<HHBxHH").pack(offered.number, hold_ms, contacts, *times_ms))
 
 
 def config_crc(timing: Timing, steps: Sequence[Step], widths: Sequence[int] = ()) -> int:
@@ -516,6 +548,17 @@ def check_interlock(ident: Ident) -> None:
         )
 
 
+def check_contacts(ident: Ident) -> None:
+    """Raise DeviceError if the firmware has no contacts of neighbours but "line ready"."""
+    if ident.minor < OFFER_MINOR:
+        raise DeviceError(
+            f"The controller has firmware {ident.firmware}, which has no contacts for IPC-SMEMA-9851 but 'line ready', "
+            "but station.toml has a table [smema].",
+            action=f"{_FLASH} Or take [smema] out of station.toml.",
+            code="contacts-missing",
+        )
+
+
 def describe(nak: Nak) -> str:
     """Return a sentence that states why the controller refused a request, with the field and its limit."""
     request = Type(nak.request).name if nak.request in set(Type) else f"request {nak.request:#04x}"
@@ -538,7 +581,12 @@ def _field(nak: Nak) -> str:
         names_of_timing = [field.name for field in fields(Timing)]
         return f"step {nak.field - FIRST_STEP}" if nak.field >= FIRST_STEP else names_of_timing[nak.field % 10]
     # Only COMMIT numbers its fields; other requests have one value that can be out of range.
-    names: dict[int, str] = {Type.STEP: "its index", Type.FIRE_ONE: "its pulse", Type.READY: "its time"}
+    names: dict[int, str] = {
+        Type.STEP: "its index",
+        Type.FIRE_ONE: "its pulse",
+        Type.READY: "its time",
+        Type.OFFER: "its value",
+    }
     return names.get(nak.request, f"field {nak.field}")
 
 
@@ -620,6 +668,10 @@ class Link:
         """Permission for the next board, renewed while it is valid; None: boards are held back."""
         self.ready_longest_ms = 0
         """Longest time, ms, for which one READY is valid. 0 without an output "line ready": READY is not sent."""
+        self.offer: BoardOffer | None = None
+        """The board that is offered to the next machine by contacts, renewed while it is valid; None: none is."""
+        self.contacts = False
+        """Whether contacts of the neighbours are used. Else OFFER is not sent, and the controller reports none."""
         self.retries = 0
         self.unmatched = 0
         self.messages = 0
@@ -637,6 +689,9 @@ class Link:
         """Number of the latest permit."""
         self._stated: int | None = None
         """Number of the permit that the controller has; None if it has no permit."""
+        self._next_offer_s = 0.0
+        self._stated_offer: tuple[int, bool] | None = None
+        """Number of the board that the controller offers, 0 for none, and whether as failed; None: it is to be told."""
         self._yielding = False
         """Whether the link's last own request was given up. A queued request is then sent before the link's next own
         one."""
@@ -687,6 +742,9 @@ class Link:
                 # A repetition must not last longer than the permit. With another number, a late reply to the
                 # transmission before does not count as one to this.
                 self._pending.request, self._pending.sequence = self._ready_request(now_s), next(self._sequences)
+            elif self._pending.request.type == Type.OFFER:
+                request = offer(self.offer, self._left_ms(self.offer, now_s))
+                self._pending.request, self._pending.sequence = request, next(self._sequences)
         self._pending.last_s = now_s
         self._pending.tries += 1
         return encode(Message(self._pending.request.type, self._pending.sequence, self._pending.request.payload))
@@ -721,6 +779,9 @@ class Link:
         if self._ready_is_due(now_s):
             self._next_ready_s = now_s + HEARTBEAT_S
             return _Pending(self._ready_request(now_s), internal=True)
+        if self._offer_is_due(now_s):
+            self._next_offer_s = now_s + HEARTBEAT_S
+            return _Pending(offer(self.offer, self._left_ms(self.offer, now_s)), internal=True)
         # Then the heartbeat, because the controller switches everything off without it.
         if self.heartbeat and now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_S
@@ -732,8 +793,21 @@ class Link:
         return None
 
     def _hold_ms(self, now_s: float) -> int:
-        left_s = 0.0 if self.permit is None else self.permit.until_s - now_s
+        return self._left_ms(self.permit, now_s)
+
+    def _left_ms(self, given: Permit | BoardOffer | None, now_s: float) -> int:
+        left_s = 0.0 if given is None else given.until_s - now_s
         return min(max(int(left_s * 1e3), 0), self.ready_longest_ms)
+
+    def _wanted_offer(self, now_s: float) -> tuple[int, bool]:
+        valid = self.offer is not None and self._left_ms(self.offer, now_s) > 0
+        return (self.offer.number, self.offer.failed) if valid and self.offer is not None else (0, False)
+
+    def _offer_is_due(self, now_s: float) -> bool:
+        if not self.contacts:
+            return False
+        wanted = self._wanted_offer(now_s)
+        return wanted != self._stated_offer or (wanted[0] > 0 and now_s >= self._next_offer_s)
 
     def _ready_request(self, now_s: float) -> Request:
         if self.permit is not None:
@@ -786,7 +860,7 @@ class Link:
 
     def _on_reply(self, pending: _Pending, payload: bytes, now_s: float) -> list[Notification]:
         news: list[Notification] = []
-        if pending.request.type in (Type.STATUS, Type.BEAT, Type.READY):
+        if pending.request.type in (Type.STATUS, Type.BEAT, Type.READY, Type.OFFER):
             self.status = Status.unpack(payload)
             self._out_of_sync = False
             news += self._on_boot_count(self.status.boots)
@@ -817,10 +891,14 @@ class Link:
         return []
 
     def _note_stated(self, request: Request) -> None:
-        """Record the permit that READY has stated, even if READY was refused: it is then repeated only at renewals."""
+        """Record what READY or OFFER has stated, even if it was refused: it is then repeated only at renewals."""
         if request.type == Type.READY:
             number, hold_ms = request.payload[:2], request.payload[2:]
             self._stated = int.from_bytes(number, "little") if any(hold_ms) else None
+        elif request.type == Type.OFFER:
+            valid = any(request.payload[2:4])
+            number = request.payload[:2] if valid else b"\0"
+            self._stated_offer = int.from_bytes(number, "little"), valid and bool(request.payload[4] & 0x20)
 
     def _on_boot_count(self, boots: int) -> list[Notification]:
         """Compare the boot counter with the last one. After a reset, return all queued requests as unanswered."""
@@ -828,7 +906,7 @@ class Link:
             return []
         # Queued requests were meant for the configuration before the reset. Their callers decide what to do.
         first, self.boots = self.boots is None, boots
-        self._order, self._acknowledged, self._stated = EventOrder(), 0, None
+        self._order, self._acknowledged, self._stated, self._stated_offer = EventOrder(), 0, None, None
         if first:
             return []
         dropped = [a.request for a in self._queue if not a.internal]

@@ -45,6 +45,7 @@ static void reply_status(const struct controller *c, uint16_t bad, ticks_t now, 
         .events_lost = c->events.lost, .bad_frames = bad, .unknown = c->unknown, .replies_lost = c->replies_lost,
         .bytes_lost = c->bytes_lost, .edges_lost = c->edges_lost,
         .ready = c->interlock.high, .hold = c->interlock.hold, .permit = c->interlock.permit,
+        .contacts = c->contacts.levels, .taken = c->contacts.taken,
     };
     put(reply, &status, sizeof status);
 }
@@ -102,6 +103,7 @@ static int8_t payload_size(uint8_t type)
     case MSG_ARM: return sizeof(struct arm_request);
     case MSG_FIRE_ONE: return sizeof(struct fire_request);
     case MSG_READY: return sizeof(struct ready_request);
+    case MSG_OFFER: return sizeof(struct offer_request);
     default: return -1;
     }
 }
@@ -118,6 +120,7 @@ void handle_request(struct controller *c, const struct receiver *message, ticks_
         struct arm_request arm;
         struct fire_request fire;
         struct ready_request ready;
+        struct offer_request offer;
     } request;
     struct refusal why = {NAK_NONE, 0, 0};
 
@@ -156,7 +159,12 @@ void handle_request(struct controller *c, const struct receiver *message, ticks_
         why = interlock_state(c, &request.ready, now);
         reply_status(c, message->bad, now, reply);
         break;
+    case MSG_OFFER:
+        why = contacts_offer(c, &request.offer, now);
+        reply_status(c, message->bad, now, reply);
+        break;
     }
-    interlock_poll(c, now); /* DISARM and SAFE lower the output at once */
+    interlock_poll(c, now); /* DISARM and SAFE lower the output at once, SAFE opens the contacts */
+    contacts_poll(c, now);
     if (why.reason) refuse(reply, type, why);
 }

@@ -1,4 +1,4 @@
-/* The messages of hw/protocol.md, version 1.3: little-endian, packed; sizes are part of the protocol. */
+/* The messages of hw/protocol.md, version 1.4: little-endian, packed; sizes are part of the protocol. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
@@ -8,7 +8,7 @@
 #include "limits.h"
 
 #define PROTOCOL_MAJOR 1
-#define PROTOCOL_MINOR 3
+#define PROTOCOL_MINOR 4
 
 #define PAYLOAD_LONGEST 58
 #define CONTENT_LONGEST (2 + PAYLOAD_LONGEST + 2) /* type, sequence, payload, CRC-16 */
@@ -30,6 +30,7 @@ enum message {
     MSG_ACK_EVENTS = 0x0D,
     MSG_READY = 0x0E,
     MSG_WIDTH = 0x0F,
+    MSG_OFFER = 0x10,
     MSG_REPLY = 0x80, /* added to the type of the request */
     MSG_EVENT = 0xC0,
     MSG_NAK = 0xFF,
@@ -62,6 +63,7 @@ enum event_kind {
     EVENT_RUN_END = 5,    /* detail: enum run_end, index: pulses fired, value: rows suppressed */
     EVENT_FAULT = 6,      /* detail: enum fault */
     EVENT_EDGE = 7,       /* detail: 1 blocked again within a run, 0 clear outside a run; index: run */
+    EVENT_CONTACTS = 8,   /* detail: enum contact; index: board taken last, value: board offered last */
 };
 
 enum suppressed {
@@ -82,6 +84,15 @@ enum hold {
     HOLD_BARRIER = 3, /* the barrier is blocked, or was until less than the debounce ago */
     HOLD_GAP = 4,     /* the last board left less than min_gap ago */
     HOLD_SPENT = 5,   /* a board has come since the host's statement */
+};
+
+/* Since 1.4: the contacts of the neighbours by IPC-SMEMA-9851; 1: closed. */
+enum contact {
+    CONTACT_AVAILABLE = 1 << 0,      /* in, of the machine upstream: a board waits */
+    CONTACT_FAILED = 1 << 1,         /* in, of the machine upstream: a failed board waits */
+    CONTACT_NEXT_READY = 1 << 2,     /* in, of the next machine: it takes a board */
+    CONTACT_OFFERED = 1 << 4,        /* out, to the next machine: a board waits */
+    CONTACT_OFFERED_FAILED = 1 << 5, /* out, to the next machine: a failed board waits */
 };
 
 #define PERMIT_TEST 0 /* of MSG_READY: sets the output without a board, in STATE_IDLE only */
@@ -164,8 +175,11 @@ struct WIRE status {
     uint8_t ready;          /* since 1.2: level of the output "line ready" */
     uint8_t hold;           /* enum hold */
     uint16_t permit;        /* of the last READY */
+    uint8_t contacts;       /* since 1.4: enum contact */
+    uint8_t reserved;
+    uint16_t taken;         /* number of the board that the next machine has taken last; 0: none since the reset */
 };
-static_assert(sizeof(struct status) == 48, "part of the protocol");
+static_assert(sizeof(struct status) == 52, "part of the protocol");
 
 struct WIRE event {
     uint32_t number;
@@ -191,6 +205,17 @@ struct WIRE ready_request {
     uint16_t hold_ms; /* how long it is valid; 0 withdraws it */
 };
 static_assert(sizeof(struct ready_request) == 4, "part of the protocol");
+
+/* Since 1.4: what the contacts to the next machine say of the board behind the cameras. */
+struct WIRE offer_request {
+    uint16_t board;    /* its number, another one for each board, from 1; one that was taken is not offered again */
+    uint16_t hold_ms;  /* how long this is valid; 0: no board is offered */
+    uint8_t contacts;  /* CONTACT_OFFERED, CONTACT_OFFERED_FAILED or both: those that close */
+    uint8_t reserved;
+    uint16_t least_ms; /* a next machine that is not ready any more sooner than this has only withdrawn */
+    uint16_t most_ms;  /* the board is taken at the latest when the next machine has been ready for it for this long */
+};
+static_assert(sizeof(struct offer_request) == 10, "part of the protocol");
 
 struct WIRE nak_reply { uint8_t request, reason, field, reserved; uint32_t limit; };
 static_assert(sizeof(struct nak_reply) == 8, "part of the protocol");

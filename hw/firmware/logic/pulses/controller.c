@@ -191,6 +191,7 @@ void controller_poll(struct controller *c, ticks_t now)
     if (needs_host && ticks_since(now, c->last_beat) > (int32_t)HEARTBEAT) controller_safe(c, FAULT_HEARTBEAT, now);
     if (c->state == STATE_RUNNING && !c->pulse.under_way) continue_run(c, now);
     interlock_poll(c, now);
+    contacts_poll(c, now);
 }
 
 void controller_start(struct controller *c, ticks_t now, uint8_t blocked, uint32_t boots, uint8_t reset_cause)

@@ -4,6 +4,7 @@
 
 #include "barrier.h"
 #include "config.h"
+#include "contacts.h"
 #include "events.h"
 #include "interlock.h"
 
@@ -36,6 +37,7 @@ struct controller {
     struct pulse_under_way pulse;
     struct events events;
     struct interlock interlock;
+    struct contacts contacts;
     ticks_t last_beat;   /* time of the last heartbeat of the host */
     ticks_t last_clear;  /* when the last board left; valid if clear_known */
     uint8_t clear_known;

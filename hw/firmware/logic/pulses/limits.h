@@ -44,7 +44,10 @@
  * holds boards back when the host is gone. */
 #define READY_LONGEST_MS 1000
 
-/* Shortest time for which that output stays low, by which a neighbour tells two boards apart (IPC-SMEMA-9851). */
+/* Shortest time for which that output stays low, and contacts to the next machine stay open, by which a neighbour tells two boards apart (IPC-SMEMA-9851). */
 #define READY_PAUSE MS(50)
+
+/* A contact of a neighbour counts when its level has lasted for this: relays bounce for less, and boards take longer. */
+#define CONTACT_DEBOUNCE MS(10)
 
 #endif

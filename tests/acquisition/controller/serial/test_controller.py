@@ -170,8 +170,8 @@ def refusal(port: str) -> DeviceError:
 @pytest.mark.parametrize(
     ("ident", "code", "words"),
     [
-        (b"\2\0" + bytes(10), "protocol-version", r"speaks protocol 2\.0, this station 1\.3"),
-        (replace(IDENT, major=3).pack(), "protocol-version", r"speaks protocol 3\.3"),
+        (b"\2\0" + bytes(10), "protocol-version", r"speaks protocol 2\.0, this station 1\.4"),
+        (replace(IDENT, major=3).pack(), "protocol-version", r"speaks protocol 3\.4"),
         (replace(IDENT, firmware_major=0, firmware_minor=9).pack(), "firmware-too-old", r"has firmware 0\.9\.3"),
         (replace(IDENT, board=b"printer\0").pack(), "foreign-device", "calls itself b'printer'"),
     ],

@@ -20,7 +20,10 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierBounce,
     BarrierClear,
     BarrierClearAfterRun,
+    BoardOffer,
     BoardTooSoon,
+    Contacts,
+    ContactsChanged,
     Controller,
     ControllerEvent,
     ControllerLimits,
@@ -54,8 +57,10 @@ from vaoi_station.acquisition.controller.protocol import (
     Timing,
     Type,
     arm,
+    check_contacts,
     check_ident,
     check_interlock,
+    contacts_of,
     fire_one,
     number_request,
 )
@@ -201,6 +206,8 @@ class EventTranslator:
         elif kind == Kind.FAULT and detail in _FAULTS:
             message, action = _FAULTS[detail]
             self.report_fault(DeviceError(message, action=action, code="controller-safe"))
+        elif kind == Kind.CONTACTS:
+            self._emit(ContactsChanged, contacts_of(detail, index))
 
     def end(self, reason: str) -> bool:
         """End the run under way. Return False if no run is under way."""
@@ -269,8 +276,9 @@ class SerialController(Controller):
     Once started, its thread alone uses the port. Other threads hold `_lock` when they read or change the wanted state.
     """
 
-    def __init__(self, config: ControllerConfig) -> None:
-        self._config, self._waker = config, Waker()
+    def __init__(self, config: ControllerConfig, *, contacts: bool = False) -> None:
+        """Open it; `contacts` is whether those of the neighbours are used."""
+        self._config, self._contacts, self._waker = config, contacts, Waker()
         self._link, self._translator, self._timebase = Link(), EventTranslator(), Timebase(config.baud)
         self._publish_reading: Callable[[ClockReading], None] = lambda _reading: None
         self._lock = threading.RLock()
@@ -334,6 +342,16 @@ class SerialController(Controller):
         """Permit the next board, or hold boards back."""
         self._link.permit = permit
         self._waker.wake()
+
+    def offer_board(self, offer: BoardOffer | None) -> None:
+        """Offer a board to the next machine by contacts, or open them."""
+        self._link.offer = offer
+        self._waker.wake()
+
+    def contacts(self) -> Contacts | None:
+        """Return the contacts of the newest status; None if they are not used or the controller cannot be reached."""
+        status = self._link.status
+        return None if not self._contacts or status is None or self._unavailable is not None else status.closed
 
     def line_output(self) -> LineOutput | None:
         """Return the output "line ready" of the newest status; low while the controller cannot be reached."""
@@ -464,11 +482,14 @@ class SerialController(Controller):
             port = Port(self._config.port, self._config.baud, self._waker)
             self._exchange = Exchange(port, self._link, self._on_notification, self._config.port)
         # Nothing but IDENT is sent until the identity is known.
-        self._link.heartbeat, self._link.ready_longest_ms = False, 0
+        self._link.heartbeat, self._link.ready_longest_ms, self._link.contacts = False, 0, False
         self._ident = check_ident(self._exchange.identify())
         if self._config.interlock == "on":
             check_interlock(self._ident)
             self._link.ready_longest_ms = self._ident.ready_longest_ms
+        if self._contacts:
+            check_contacts(self._ident)
+            self._link.contacts = True
         if self._boots is None:
             # Events of a process that used the controller earlier are skipped.
             self._request(Request(Type.STATUS))

@@ -1122,6 +1122,7 @@ const findings = {
   "usb-bridge-slow": [({ latency_timer_ms }) => `Der USB-Wandler der Steuerung hält Bytes bis zu ${latency_timer_ms} ms zurück (Grenze: 1 ms).`, "deploy/71-vaoi-controller.rules einrichten."],
   "interlock-stuck": ["Der Ausgang „Linie bereit“ folgt nicht.", "Die Lichtschranke freimachen; A0 prüfen."],
   "interlock-missing": ["Die Firmware hat keinen Ausgang „Linie bereit“, den station.toml verlangt.", "Die Firmware einspielen: make -C hw/firmware flash"],
+  "contacts-missing": ["Die Firmware kennt keine SMEMA-Kontakte der Nachbarn, die station.toml in [smema] verlangt.", "Die Firmware einspielen: make -C hw/firmware flash"],
   "pulse-limits-exceeded": ["Die Lichter in station.toml überschreiten die Grenzen der Firmware.", "[controller] in station.toml berichtigen."],
   "controller-unreported": ["Ein anderer Prozess benutzt die Steuerung und meldet ihren Zustand nicht; ihr Anschluss wurde nicht geöffnet.", "Diesen Prozess beenden, dann noch einmal untersuchen."],
   "controller-silent": ["Am Anschluss antwortet keine Steuerung.", "Stromversorgung, Kabel und Firmware prüfen."],
