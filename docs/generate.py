@@ -8,20 +8,30 @@ python docs/generate.py --check   # ends with 1 if a page is outdated (tests/pro
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import sys
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import typer.main
+from pydantic import BaseModel
 
 from vaoi_station.api.access import scope_needed
+from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.cli import app
+from vaoi_station.files.calibrations import Layout
+from vaoi_station.model import BoardType, Calibration, RecordingHead, Stitch
 from vaoi_station.model.codes import code_sections
+from vaoi_station.photometry.flat_fields import FlatFieldDocument
+from vaoi_station.plant.manifest import ArchivedRun
 from vaoi_station.plant.tables import KEY, TABLES
-from vaoi_station.settings.keys import Setting, keys
+from vaoi_station.runs.states.schemas import HeightEntry, PartsDocument
+from vaoi_station.settings.keys import Setting, documentation, keys
+from vaoi_station.simulation.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -76,12 +86,36 @@ Every reason, warning, fault and refusal has a `code` for programs, a `message` 
 are never renamed; sentences may change. A station explains each code at `/problems/CODE`. Cases that need more words:
 [troubleshooting](troubleshooting.md).
 """
+DOCUMENTS_HEAD = """# Keys of files
+
+What stands in the files of [the formats](../formats.md). `[]` after a name: one object for each element. `NAME`: a name
+that you choose. *required*: a file without it is refused. A key without a default that is not required may be absent;
+texts call it *empty* then.
+"""
+SCENARIO_HEAD = """# Keys of a scenario
+
+Scenario files of [the twin](twin.md). Every table may be absent. *Empty* in a text: without a value.
+"""
 TABLES_HEAD = """# Tables of a plant
 
 `OUT/tables/TABLE/part-NNNNN.parquet`, which `vaoi restitch` writes, sorted by station, day and run. Every table has
 both results of a run, distinguished by the column `result`. Null stands for what a result does not state. The schema,
 with the meaning of each column, is in the files as well. How to ask them: [plant](../plant.md#questions).
 """
+DOCUMENTS: dict[str, type[BaseModel]] = {
+    "recording.json": RecordingHead,
+    "calibration.json": Calibration,
+    "layout.json": Layout,
+    "board.json": BoardType,
+    "result.json": Stitch,
+    "flatfield.json": FlatFieldDocument,
+    "Heights": HeightEntry,
+    "Measures of parts": PartsDocument,
+    "A check of a board type": BoardCheck,
+    "The manifest of an archived run": ArchivedRun,
+}
+PROPOSAL = "proposal"
+"""Key of a check that holds a whole board type, whose keys the page has already."""
 EXAMPLE_LINES, EXAMPLE_WIDTH = 16, 110
 
 
@@ -250,20 +284,85 @@ def _values(setting: Setting) -> str:
     return " ".join(filter(None, (limits or setting.kind, setting.unit)))
 
 
+def _rows(found: Iterable[Setting]) -> Iterator[str]:
+    """Yield the table of keys that are in one table of a document."""
+    rows = []
+    for setting in found:
+        name = setting.key.removeprefix(setting.table).lstrip(".")
+        default = "required" if setting.required else f"`{setting.default}`" if setting.default is not None else ""
+        meaning = setting.description or ("always this" if len(setting.choices) == 1 else "")
+        rows.append((f"`{name}`", meaning, _values(setting), default))
+    return _table(("key", "meaning", "values", "default"), rows)
+
+
 def settings() -> str:
     """Return the page of all keys of station.toml."""
     lines = [SETTINGS_HEAD]
-    table = None
-    for setting in keys():
-        if setting.table != table:
-            table = setting.table
-            title = f"[{table}]" if table else "The file itself"
-            lines.append(f"\n## {title}{', optional table' if setting.optional_table else ''}\n")
-            lines += ["| key | meaning | values | default |", "|---|---|---|---|"]
-        name = setting.key.removeprefix(table).lstrip(".") if table else setting.key
-        default = "required" if setting.required else f"`{setting.default}`" if setting.default is not None else ""
-        lines.append(f"| `{name}` | {_cell(setting.description)} | {_cell(_values(setting))} | {_cell(default)} |")
+    for table, found in groupby(keys(), lambda setting: setting.table):
+        inside = list(found)
+        title = f"[{table}]" if table else "The file itself"
+        lines += [f"## {title}{', optional table' if inside[0].optional_table else ''}\n", *_rows(inside)]
     return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
+def _inner(annotation: Any) -> tuple[type[BaseModel], str] | None:
+    """Return the model that a field holds, and what its path gets: `[]` for a list, `.NAME` for a map."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation, ""
+    for found in filter(None, map(_inner, get_args(annotation))):
+        suffix = {tuple: "[]", list: "[]", dict: ".NAME"}.get(get_origin(annotation), "")
+        return found[0], suffix + found[1]
+    return None
+
+
+def _models(model: type[BaseModel], path: str = "") -> Iterator[tuple[str, type[BaseModel], str]]:
+    """Yield path, model and text of each table inside a document, outer ones first."""
+    inside = []
+    for name, field in model.model_fields.items():
+        if (found := _inner(field.annotation)) and name != PROPOSAL:
+            where = f"{path}.{name}{found[1]}" if path else name + found[1]
+            text = documentation(model).get(name) or field.description or ""
+            inside.append((where, found[0], text))
+    for where, held, text in inside:
+        yield where, held, text
+        yield from _models(held, where)
+
+
+def _document(root: type[BaseModel], title: Callable[[str], str]) -> Iterator[str]:
+    """Yield the tables of a document; `title` makes the title of each of its path."""
+    own = {table: list(found) for table, found in groupby(keys(root), lambda setting: setting.table)}
+    if "" in own:
+        yield from _rows(own[""])
+    shown: dict[type[BaseModel], str] = {}
+    for path, model, text in _models(root):
+        name = f"`{title(path)}`"
+        first, _, more = inspect.cleandoc(model.__doc__ or "").partition("\n\n")
+        if not text and path in own and not own[path]:
+            continue
+        about = " ".join((text or first).split()) if model not in shown else text
+        known = f" The keys are those of {shown[model]}." if model in shown else ""
+        yield f"**{name}** {' '.join([about, *([] if known else more.split())])}{known}".rstrip() + "\n"
+        if model not in shown and path in own:
+            yield from _rows(own[path])
+        shown.setdefault(model, name)
+
+
+def documents() -> str:
+    """Return the page of the keys of all files."""
+    lines = [DOCUMENTS_HEAD]
+    for title, root in DOCUMENTS.items():
+        lines += [f"## {title}\n", f"{' '.join((root.__doc__ or '').split())}\n", *_document(root, str)]
+    return HEAD + "\n".join(lines).rstrip() + "\n"
+
+
+def _toml(path: str) -> str:
+    """Return the head of a table in TOML."""
+    return f"[[{path.removesuffix('[]')}]]" if path.endswith("[]") else f"[{path}]"
+
+
+def scenario() -> str:
+    """Return the page of the keys of a scenario."""
+    return HEAD + "\n".join([SCENARIO_HEAD, *_document(Scenario, _toml)]).rstrip() + "\n"
 
 
 def _doc(path: Path) -> str:
@@ -334,7 +433,9 @@ def pages() -> dict[Path, str]:
     made = {
         "reference/addresses": addresses,
         "reference/commands": commands,
+        "reference/documents": documents,
         "reference/modules": modules,
+        "reference/scenario": scenario,
         "reference/settings": settings,
         "reference/tables": tables,
         "codes": codes,

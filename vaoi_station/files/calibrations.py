@@ -102,18 +102,24 @@ class LayoutMark(FrozenModel):
     """Shape and size of every mark of the board, in the unit of the layout."""
 
     shape: Literal["cross"] = "cross"
+    """Shape of the marks."""
     size: Positive
+    """Size from tip to tip."""
     width: Positive
     """Width of one arm of a mark, in the unit of the layout."""
     polarity: Literal["dark", "light"] = "dark"
+    """Against the ground."""
 
 
 class Layout(FrozenModel):
     """The marks of a calibration board. The coordinates of their positions become tester coordinates."""
 
     unit: Literal["mm", "inch", "mil"] = "mm"
+    """Unit of all numbers of the file."""
     mark: LayoutMark
+    """Look of every mark."""
     marks: Annotated[tuple[Place, ...], Field(min_length=4)]
+    """Centres of the marks; each camera sees four or more."""
 
     @model_validator(mode="after")
     def _within_limits(self) -> Self:

@@ -20,8 +20,11 @@ class CodePlace(FrozenModel):
     """A rectangle of the board, along the CAD axes, in which a code is printed, with room for its tolerance."""
 
     center: Point
+    """CAD coordinates of its middle."""
     width: Positive
+    """Extent along CAD x."""
     height: Positive
+    """Extent along CAD y."""
     panel: Panel = None
     """Position on the panel of the board that the code belongs to; None: the whole board or panel."""
 
@@ -34,7 +37,7 @@ class BoardIdentity(FrozenModel):
     places: tuple[CodePlace, ...] = ()
     """Where the codes are; empty: anywhere on the board."""
     symbology: Symbology | None = None
-    """None: DataMatrix and QR."""
+    """Kind of the codes; None: DataMatrix and QR."""
     required: bool = False
     """Whether a run is degraded if its id was not read, or differs."""
 

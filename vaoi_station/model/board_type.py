@@ -30,37 +30,50 @@ class Fiducial(FrozenModel):
     """A fiducial mark of the board at known CAD coordinates."""
 
     name: str
+    """Name of the fiducial."""
     x: Finite
+    """CAD x of its centre."""
     y: Finite
+    """CAD y of its centre."""
     shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+    """Its shape."""
     diameter: Positive
+    """Diameter, or size from side to side or tip to tip."""
     kind: Literal["global", "local"] | None = None
-    """Local: of the components below; None: not stated."""
+    """Global: places the board. Local: places its components, not C, while two others place the board. Empty:
+    global."""
     found_by: FoundBy | None = None
-    """How the import has recognised the mark."""
+    """How the import recognised it."""
     components: tuple[str, ...] | None = None
     """Addresses of the components that a local fiducial places."""
     panel: Position | None = None
-    """Position on the panel of the board that the fiducial belongs to; None: it belongs to the panel, or to the only
-    board."""
+    """Position of the board of the panel that it places; components of this board follow it. Empty: of the panel, or of
+    the only board."""
 
 
 class OtherMark(FrozenModel):
     """A mark by which no board is placed: a fiducial of the panel, or a mark that states that a board is bad."""
 
     name: str
+    """Name of the mark."""
     x: Finite
+    """CAD x of its centre; it may lie outside the outline."""
     y: Finite
+    """CAD y of its centre."""
     shape: Literal["circle", "cross", "square", "diamond"] = "circle"
+    """Its shape."""
     diameter: Positive
+    """Diameter, or size from side to side or tip to tip."""
     kind: Literal["panel", "bad-board"]
+    """A fiducial of the panel, or the mark by which a board is crossed out."""
     found_by: FoundBy | None = None
+    """How the import recognised it."""
     panel: Position | None = None
-    """Of a bad-board mark: position on the panel of the board that it is about."""
+    """Of a bad-board mark: position of its board on the panel."""
     bad: Look | None = None
-    """How a bad-board mark looks, against what surrounds it, on a board that is bad; None: the mark is not read."""
+    """Its look on a bad board, against what surrounds it. Empty: the mark is not read."""
     good: Look | None = None
-    """How it looks on a board that is not; None: blank."""
+    """Its look on a good board. Empty: blank."""
 
     @property
     def read(self) -> bool:
@@ -134,8 +147,8 @@ MM_PER_UNIT = {"mm": 1.0, "inch": 25.4, "mil": 0.0254}
 class Visibility(FrozenModel):
     """How much of a component the good frames of a run must show.
 
-    A value that is None is taken from the next more general level. The levels are component, board type, station, and
-    the defaults of `VISIBILITY`.
+    A value that is absent is taken from the next more general level: component, board type, `[visibility]` of
+    station.toml, and in the end 0.99, 0 and false.
     """
 
     coverage: Annotated[Finite, Field(ge=0, le=1)] | None = None
@@ -165,20 +178,29 @@ class Component(FrozenModel):
     """One component. Centre and size of its footprint before rotation are in CAD units, its rotation in degrees."""
 
     ref: Annotated[str, Field(min_length=1, pattern=ONE_LINE)]
+    """Reference designator."""
     center: Point
+    """CAD coordinates of the centre of the footprint."""
     width: Positive
+    """Extent of the footprint along CAD x, before rotation."""
     height: Positive
+    """Extent along CAD y, before rotation."""
     rotation: Annotated[Finite, Field(ge=-36_000, le=36_000)] = 0.0
+    """Degrees, counter-clockwise as seen on the top of the board, whichever way y points."""
     body_height: Annotated[Finite, Field(ge=0)] | None = None
+    """Height of the part above the board."""
     panel: str | int | None = None
+    """Position of its board on the panel, text or number."""
     origin: Point | None = None
-    """Point of the component in its CAD system, where it is not the centre of the body; the station does not use it."""
+    """Where the CAD system places the part, if not at its centre; only for comparison."""
     package: str | None = None
+    """Name of the package."""
     size_from: Literal["file", "table", "guess"] | None = None
     """Whether the imported file states the size, or it is from a table of packages, or guessed."""
     fitted: bool | None = None
     """False if this variant of the product is made without the part."""
     visibility: Visibility | None = None
+    """How much of this part the good frames of a run must show. Empty: as the board type states."""
 
     @property
     def address(self) -> str:
@@ -190,16 +212,22 @@ class FixtureMarkShape(FrozenModel):
     """Shape, size and polarity of the fixture marks."""
 
     shape: Literal["cross", "circle", "square", "diamond"] = "cross"
+    """Shape of the marks."""
     size: Positive
+    """Size from tip to tip, or diameter."""
     width: Positive | None = None
+    """Width of one arm of a cross."""
     polarity: Literal["dark", "light"] = "light"
+    """Against what surrounds them."""
 
 
 class Place(FrozenModel):
     """A point with named coordinates x and y, as in JSON files."""
 
     x: Finite
+    """X of its centre."""
     y: Finite
+    """Y of its centre."""
 
 
 class PointTable(FrozenModel):
@@ -208,8 +236,11 @@ class PointTable(FrozenModel):
     name: tuple[Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)], ...]
     """A pad as `U1-3`; no two are alike."""
     x: tuple[Finite, ...]
+    """CAD x of each."""
     y: tuple[Finite, ...]
+    """CAD y of each."""
     net: tuple[str, ...] | None = None
+    """Net of each."""
 
     @model_validator(mode="after")
     def _columns_fit(self) -> Self:
@@ -243,22 +274,33 @@ class BoardType(FrozenModel):
     """The content of board.json: one side of a product, in its CAD unit and axes."""
 
     name: Annotated[str, Field(min_length=1, max_length=200, pattern=ONE_LINE)]
+    """Name of the board type."""
     revision: Annotated[str, Field(min_length=1, max_length=40, pattern=ONE_LINE)] | None = None
-    """Revision of the product's data, as its owner names it."""
+    """Revision of the data, as its owner names it; every run states it."""
     state: BoardTypeState | None = None
-    """Draft: armed with a warning; retired: not armed; None counts as approved."""
+    """Draft: armed with a warning, which is a reason of every run. Retired: refused when armed. Empty: approved."""
     unit: Literal["mm", "inch", "mil"] = "mm"
+    """Unit of all numbers of the file but those of line and program."""
     y_axis: Literal["up", "down"] = "up"
+    """Where CAD y points."""
     side: Literal["top", "bottom"] = "top"
+    """The side that is up in the line."""
     outline: tuple[Point, ...] | None = None
+    """Two opposite corners, or a polygon; fiducials outside it are refused."""
     cut_outs: tuple[tuple[Point, ...], ...] | None = None
-    """Openings within the outline, each a polygon."""
+    """Openings within the outline, polygons of three corners or more."""
     fiducials: tuple[Fiducial, ...] = ()
+    """At least two, or the type is refused when it is stored, armed or stitched."""
     other_marks: tuple[OtherMark, ...] | None = None
+    """Marks that place no board."""
     components: tuple[Component, ...] = ()
+    """The parts; two of one address (panel, ref) are refused."""
     fixture_mark: FixtureMarkShape | None = None
+    """Look of the marks of the fixture."""
     fixture_marks: tuple[Place, ...] = ()
+    """Centres of these marks, for fiducial-based stitching."""
     visibility: Visibility | None = None
+    """How much of every part a run must show. Empty: as station.toml states."""
     program: Program | None = None
     """Light, exposure and gain of the rows, in turn; None: as station.toml states."""
     line: BoardLine | None = None
@@ -266,7 +308,7 @@ class BoardType(FrozenModel):
     identity: BoardIdentity | None = None
     """The codes that state the id of a board; None: boards of this type have none."""
     test_points: PointTable | None = None
-    """Points of this side that a probe can reach; None: not known."""
+    """Points of this side that a probe reaches, in columns; at most 50,000."""
     limits: BoardLimits | None = None
     """Limits beyond which the measures of parts are marked; None: none are marked."""
 

@@ -48,8 +48,11 @@ class Distortion(FrozenModel):
     """Radial distortion of one lens: centre and radius in px, and coefficients; see `geometry.Lens`."""
 
     center: PointPx
+    """Centre c of the distortion, px."""
     radius: Annotated[Positive, Field(ge=1, le=1e6)]
+    """Radius R, px."""
     radial: tuple[Annotated[Finite, Field(ge=-10, le=10)], ...]
+    """Coefficients a1, a2, …."""
 
 
 class Calibration(FrozenModel):
@@ -58,14 +61,23 @@ class Calibration(FrozenModel):
     format: Literal["vaoi-calibration"]
     version: Literal[1]
     unit: Literal["mm"]
+    """Unit of the tester's plane."""
     camera_matrices: Annotated[tuple[Matrix, ...], Field(min_length=1)]
+    """N_i of every camera."""
     working_distance_mm: Annotated[Positive, Field(ge=1, le=MOST_MM)] | None = None
+    """Height of the cameras above the calibrated plane. Empty: heights have no parallax."""
     residual_px: tuple[Pixels, ...] | None = None
+    """Residual of every camera."""
     principal_point: tuple[PointPx, ...] | None = None
+    """Where each optical axis meets the image, px. Empty: the middle of the image."""
     created: str | None = None
+    """When it was made."""
     covariances: Any = None
+    """Of every camera: covariance of n11 n12 n13 n21 n22 n23 n31 n32 (n33 = 1) and the radial coefficients."""
     covariance: tuple[Covariance, ...] | None = None
+    """Of every camera: covariance, 9 × 9, of the error of N_i and its lens over the frame, px²."""
     distortion: tuple[Distortion, ...] | None = None
+    """Lens of every camera. Empty: ideal lenses."""
 
     @model_validator(mode="after")
     def _one_entry_per_camera(self) -> Self:

@@ -26,16 +26,22 @@ class CameraHead(FrozenModel):
     """Frame size, exposure and nominal view of one camera."""
 
     width: Annotated[Whole, Field(ge=16, le=65536)]
+    """Width of its frames, px."""
     height: Annotated[Whole, Field(ge=16, le=65536)]
+    """Height of its frames, px."""
     exposure_us: Microseconds
+    """Exposure time."""
     nominal_center_mm: PointMm | None = None
+    """Centre of its view by the mechanical design, in tester coordinates."""
     nominal_px_per_mm: Positive | None = None
+    """Its resolution by the mechanical design; a calibration that differs by more than a factor of 1.5 is refused."""
     nominal_roll_deg: Annotated[Finite, Field(ge=-360, le=360)] | None = None
-    """Rotation of the mounted camera, from image x towards image y; 180 is upside down. None: upright."""
+    """Rotation of the mounted camera, from image x towards image y; 180 is upside down, empty upright. Only calibration
+    needs it."""
     bits: Annotated[Whole, Field(ge=8, le=16)] | None = None
-    """Used bits of a 16-bit pixel, counted from the lowest: 12 for values up to 4095; None if unknown."""
+    """Used bits of a 16-bit pixel, from the lowest: 12 for values up to 4095. Empty: estimated from all frames."""
     serial: Annotated[str, Field(min_length=1)] | None = None
-    """Serial number of the camera; None if it is not known."""
+    """Serial number, by which flat fields of other cameras are refused."""
 
 
 class RecordingHead(FrozenModel):
@@ -44,23 +50,33 @@ class RecordingHead(FrozenModel):
     format: Literal["vaoi-recording"]
     version: Literal[1]
     cameras: Annotated[tuple[CameraHead, ...], Field(min_length=1)]
+    """One entry per camera, in the order of the calibration."""
     rows: Annotated[Whole, Field(ge=1, le=100_000)]
+    """Number of pulses, m."""
     trigger_period_s: Annotated[Positive, Field(le=3600)]
+    """Nominal time from pulse to pulse."""
     conveyor_mm_s: tuple[MillimetresPerSecond, MillimetresPerSecond]
+    """Nominal velocity of the board in tester coordinates, [vx, vy]."""
     missing: tuple[tuple[Whole, Whole], ...] = ()
+    """[camera, row] of every frame that never arrived, or is not proven to belong to its row."""
     trigger_times_s: tuple[Finite, ...] | None = None
+    """Times of the m pulses by the controller's clock, increasing. Empty: evenly spaced, from 0."""
     belt_mm: tuple[Finite, ...] | None = None
-    """Way of the belt at each row by its encoder, since row 0; None if the belt has none."""
+    """Way of the belt at each row by its encoder, from row 0 on, increasing: the prior of the motion. Empty: velocity ·
+    time."""
     exposures_us: tuple[tuple[Microseconds, ...], ...] | None = None
+    """Exposure time of each row and camera, where it varies. Empty: that of the camera."""
     gains: tuple[tuple[Gain, ...], ...] | None = None
+    """Linear gain of each row and camera: 2 makes grey levels twice as large. Empty: 1."""
     lights: tuple[str, ...] | None = None
+    """Name of the light of each row. Rows of one light are linked."""
     rotation_deg: Literal[0, 90, 180, 270] | None = None
-    """Expected rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it."""
+    """Expected rotation of the board on the belt, counter-clockwise from CAD-upright as the camera sees it. Empty:
+    0."""
     skip: tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None = None
     """Positions of the boards of a panel that were not to be tested, as the order of the board stated."""
     doubts: tuple[str, ...] = ()
-    """Doubts about the frames that arose when they were recorded. Each is a reason of the result, which is then not
-    ok."""
+    """Sentences on what was doubtful when the run was filmed. Each is a reason of the result, which is then not ok."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -34,10 +34,15 @@ class Surface(FrozenModel):
     """
 
     lift_mm: Millimetres
+    """Height in the middle."""
     tilt_mm: PointMm = (0.0, 0.0)
+    """Coefficients of u and v."""
     bow_mm: tuple[Millimetres, Millimetres, Millimetres] = (0.0, 0.0, 0.0)
+    """Coefficients of u², u·v and v²."""
     about: Point = (0.0, 0.0)
+    """CAD point at which u = v = 0."""
     half_span: tuple[_HalfSpan, _HalfSpan] = (1.0, 1.0)
+    """CAD distances at which u = 1 and v = 1."""
 
     def height_mm(self, cad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute the height (…,) of the board's surface at CAD points (…, 2)."""
@@ -63,16 +68,26 @@ class Stitch(FrozenModel):
     format: Literal["vaoi-stitch"] = "vaoi-stitch"
     version: Literal[1] = 1
     method: str
+    """The method that made it."""
     image_matrices: tuple[tuple[Matrix | None, ...], ...]
+    """M_ij of every camera and row. Null: not placed, or the image shows another part of the board than its row."""
     cad_matrix: Matrix | None
+    """C; null if it was not found."""
     row_motion: tuple[Matrix, ...]
+    """D_j of every row."""
     status: Status
+    """Verdict. Degraded: usable, see the reasons."""
     reasons: tuple[str, ...] = ()
+    """Sentences: why it is not ok."""
     reason_codes: tuple[str, ...] = ()
     """The code of every entry of `reasons` (`ReasonCode`); empty in results of older versions."""
     quality: dict[str, Any] = Field(default_factory=dict)
+    """The numbers behind the verdict."""
     surface: Surface | None = None
+    """The board's height above the calibrated plane, where it was estimated."""
     components: dict[str, tuple[tuple[Whole, Whole, Pixels, Pixels], ...]] | None = None
+    """By address: [camera, row, x, y] of the footprint's centre in raw pixels of every image that shows it. Empty: M_ij
+    · C."""
     camera_matrices: tuple[Matrix, ...] | None = None
     """N_i of every camera as it was in this run: the calibrated N_i, corrected by the displacement that the run shows.
 

@@ -44,29 +44,37 @@ class CameraFields(FrozenModel):
     """Size, dark level and noise of one camera, in 8-bit grey levels."""
 
     width: Side
+    """Width of its frames, px."""
     height: Side
+    """Height of its frames, px."""
     dark: Annotated[Finite, Field(ge=0, le=255)] = 0.0
     """Grey level of darkness, mean over the frame."""
     dark_file: FileName | None = None
     """Picture of the dark level, where it differs from pixel to pixel."""
     read: Annotated[Positive, Field(le=255)]
+    """Read noise: standard deviation of a dark pixel, grey levels."""
     shot: Annotated[Positive, Field(le=255)]
+    """Shot noise: variance in grey levels² per grey level of signal, at gain 1."""
     serial: Annotated[str, Field(min_length=1)] | None = None
-    """Serial number of the camera; None if it was not known."""
+    """Serial number; recordings of another camera are refused. Empty: any camera."""
 
 
 class FieldHead(FrozenModel):
     """One flat field: its camera, light and file."""
 
     camera: Annotated[Whole, Field(ge=0)]
+    """Number of the camera."""
     light: Annotated[str, Field(max_length=100)] | None = None
+    """Name of the light. Empty: frames without a named light."""
     file: FileName
+    """Picture of the flat field; the mean over all cameras and lights is 1."""
     level: Positive
     """Mean of the white target over the frame, grey levels per µs at gain 1."""
     rows: Annotated[Whole, Field(ge=1)]
     """Number of rows from which it was made."""
     white: tuple[Share, Share, Share] | None = None
-    """Red, green and blue of the white target as shares of its grey level; None of a grey camera."""
+    """Red, green and blue of the white target as shares of its grey level. Empty: the camera is grey, or its colours
+    are not balanced."""
 
 
 class FlatFieldDocument(FrozenModel):
@@ -77,7 +85,9 @@ class FlatFieldDocument(FrozenModel):
     created: str | None = None
     """Time at which the white target was measured, ISO 8601."""
     cameras: Annotated[tuple[CameraFields, ...], Field(min_length=1)]
+    """One entry per camera, in the order of the calibration."""
     fields: Annotated[tuple[FieldHead, ...], Field(min_length=1)]
+    """One entry for each camera and light."""
 
     @model_validator(mode="after")
     def _one_field_for_each(self) -> Self:

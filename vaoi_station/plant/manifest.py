@@ -56,7 +56,9 @@ class Blob(Strict):
     """A stored object: SHA-256 and number of its bytes as they are stored."""
 
     sha256: Sha256
+    """SHA-256 of the stored bytes, which names the blob."""
     bytes: Annotated[Whole, Field(ge=0)]
+    """Number of stored bytes."""
 
     @property
     def key(self) -> str:
@@ -68,21 +70,27 @@ class DocumentBlob(Blob):
     """A stored document."""
 
     packed: bool = False
+    """Whether it is compressed by zlib."""
 
 
 class FrameBlob(Blob):
     """A stored frame."""
 
     camera: Annotated[Whole, Field(ge=0)]
+    """Camera of the frame."""
     row: Annotated[Whole, Field(ge=0)]
+    """Row of the frame."""
 
 
 class ArchivedReference(Strict):
     """The run against which the station placed the board, as the directory of its reference has it."""
 
     run: str
+    """Id of the run."""
     documents: dict[DocumentKind, DocumentBlob]
+    """Its documents."""
     frames: tuple[FrameBlob, ...]
+    """Its frames."""
 
     @property
     def blobs(self) -> tuple[Blob, ...]:
@@ -96,18 +104,28 @@ class ArchivedRun(Strict):
     format: Literal["vaoi-archived-run"] = "vaoi-archived-run"
     version: Literal[1] = 1
     run: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+    """Id of the run."""
     station: Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_fits_a_folder)]
+    """Name of the station."""
     time: _Time
+    """Begin of the run, UTC."""
     board_type: str
+    """Name of the board type."""
     revision: str | None = None
     """Revision of the data of the board type, as their owner names it."""
     verdict: Status | None = None
+    """Verdict, as the identity of the board leaves it. Empty: no result."""
     serial: str | None = None
+    """Id of the board."""
     pixels: Annotated[Whole, Field(ge=0)]
+    """Number of pixels of all frames."""
     documents: dict[DocumentKind, DocumentBlob]
+    """By name: head (recording.json), calibration, board_type, result, light_program, run (the station's record)."""
     frames: tuple[FrameBlob, ...]
+    """Every frame that is not missing: a PNG, with the recording's pixels bit for bit."""
     reference: ArchivedReference | None = None
-    """None: the station used none, or it was deleted before the run was archived."""
+    """The run against which the board was placed. Empty: there was none, or it was deleted before the run was
+    archived."""
 
     @property
     def key(self) -> str:

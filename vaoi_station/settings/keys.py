@@ -1,4 +1,4 @@
-"""The keys of station.toml with type, unit, limits, default and documentation, all of them read from the model.
+"""The keys of station.toml and of other documents, with type, unit, limits, default and text, read from the model.
 
 The documentation is the text below each attribute of the model, as in the source. A key is written as
 docs/configuration.md writes it: `cameras[].width` in the tables of an array, `controller.lights.NAME.on_us` in tables
@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field
+from pydantic.json_schema import GenerateJsonSchema
 
 from vaoi_station.config import StationConfig
 
@@ -26,6 +27,7 @@ UNITS = {
     "_per_mm": "1/mm",
     "_mbit_s": "Mbit/s",
     "_mm_s": "mm/s",
+    "_deg_s": "°/s",
     "_mb_s": "MB/s",
     "_mm": "mm",
     "_us": "µs",
@@ -68,16 +70,31 @@ class Setting(BaseModel):
     optional_table: bool = Field(description="Whether the whole table may be absent.")
 
 
+class _Schema(GenerateJsonSchema):
+    """A schema in which a matrix, for which JSON Schema has no type, is a list."""
+
+    def handle_invalid_for_json_schema(self, schema: Any, error_info: str) -> dict[str, Any]:  # noqa: ARG002
+        """Return the schema of a type that JSON Schema cannot describe."""
+        return {"type": "array"}
+
+
 @cache
-def keys() -> tuple[Setting, ...]:
-    """Return all keys, in the order of the model."""
-    schema = StationConfig.model_json_schema()
-    return tuple(_walk(schema, schema, "", StationConfig, optional=False))
+def keys(root: type[BaseModel] = StationConfig) -> tuple[Setting, ...]:
+    """Return all keys of a document, by default of station.toml, in the order of its model."""
+    schema = root.model_json_schema(schema_generator=_Schema)
+    return tuple(_walk(schema, schema, "", (root, root), optional=False))
 
 
 def _walk(
-    schema: dict[str, Any], table: dict[str, Any], prefix: str, model: type[BaseModel], *, optional: bool
+    schema: dict[str, Any],
+    table: dict[str, Any],
+    prefix: str,
+    of: tuple[type[BaseModel], type[BaseModel]],
+    *,
+    optional: bool,
 ) -> Iterator[Setting]:
+    root, model = of
+
     def resolved(field: Any) -> dict[str, Any]:
         field = field if isinstance(field, dict) else {}
         return {**field, **schema["$defs"][field["$ref"].rsplit("/", 1)[1]]} if "$ref" in field else field
@@ -110,12 +127,12 @@ def _walk(
                 default=None if default is None or required else _as_toml(default),
                 unit=next((unit for end, unit in UNITS.items() if f"_{name}".endswith(end)), None),
                 choices=list(map(str, choices)),
-                description=texts.get(name, ""),
+                description=texts.get(name) or field.get("description", ""),
                 optional_table=optional,
                 **{limit: value for limit, value in limits.items() if abs(value) < _LIMITLESS},
             )
     for inside, where, absent in tables:
-        yield from _walk(schema, inside, where, _models()[inside["title"]], optional=optional or absent)
+        yield from _walk(schema, inside, where, (root, models_of(root)[inside["title"]]), optional=optional or absent)
 
 
 def _as_toml(value: Any) -> str:
@@ -151,13 +168,13 @@ def _texts(module: ModuleType) -> dict[str, dict[str, str]]:
 
 
 @cache
-def _models(model: type[BaseModel] = StationConfig) -> dict[str, type[BaseModel]]:
-    """Return all models of the tables, by name."""
+def models_of(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """Return the models of all tables of a document, by name."""
     found: dict[str, type[BaseModel]] = {model.__name__: model}
     left = [field.annotation for field in model.model_fields.values()]
     while left:
         part = left.pop()
         if isinstance(part, type) and issubclass(part, BaseModel):
-            found |= _models(part)
+            found |= models_of(part)
         left += getattr(part, "__args__", ())
     return found

@@ -658,7 +658,9 @@ class HeightInterval(Strict):
     """A range of heights that explain the pictures of a component."""
 
     low_mm: Number
+    """Least height."""
     high_mm: Number
+    """Largest height."""
     probability: Number = Field(description="Probability that the height lies in it.")
 
 
@@ -700,9 +702,11 @@ class PartMeasure(Strict):
     presence: Number | None = Field(None, description="Probability that the part is there.")
     dx_mm: Number | None = Field(None, description="Place against the CAD data, along the CAD axes.")
     dy_mm: Number | None = None
+    """The same along y."""
     sigma_mm: Number | None = Field(None, description="Standard deviation of the place along the worse axis.")
     turn_deg: Number | None = Field(None, description="Turn against the CAD data, counter-clockwise as seen.")
     sigma_deg: Number | None = None
+    """Standard deviation of the turn."""
     orientation: dict[str, Number] | None = Field(None, description="Probability by turn, degrees; needs marks.")
     alike: Number | None = Field(None, description="Probability that it is what good boards have there.")
     height_mm: Number | None = Field(None, description="Height above the board by parallax.")
@@ -718,6 +722,7 @@ class PartsDocument(Strict):
     format: Literal["vaoi-parts"]
     version: Literal[1]
     board_type: str
+    """Name of the board type."""
     good_boards: tuple[str, ...] = Field(description="Runs with which it was compared.")
     remarks: tuple[str, ...] = Field(description="What changed since teaching; whether this is another revision.")
     remark_codes: tuple[str, ...] = Field((), description="The code of each remark.")
@@ -726,6 +731,7 @@ class PartsDocument(Strict):
     )
     parts: dict[str, PartMeasure]
     reason_texts: dict[str, str]
+    """The sentence of each of the reasons."""
 
 
 class PartPictures(Strict):
