@@ -178,6 +178,9 @@ class AcquisitionLink:
             if self._attempt is not None:
                 self._attempt.process.kill()
         self.thread.join(2 * EXIT_S)
+        with self._lock:
+            if self._attempt is not None and not self.thread.is_alive():  # a lost thread has not collected its process
+                self._attempt.pipe.close()
 
     def _run(self) -> None:
         while not self._stopping.is_set():
