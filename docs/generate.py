@@ -16,11 +16,13 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Any, get_args, get_origin
+from urllib.parse import quote
 
 import typer.main
 from pydantic import BaseModel
 
 from vaoi_station.api.access import scope_needed
+from vaoi_station.api.problems import KINDS
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.cli import app
 from vaoi_station.files.calibrations import Layout
@@ -114,6 +116,13 @@ DOCUMENTS: dict[str, type[BaseModel]] = {
     "A check of a board type": BoardCheck,
     "The manifest of an archived run": ArchivedRun,
 }
+ROOT_TEXTS = {"BoardType": documentation(BoardType)}
+"""Texts of models whose fields have none in the interface."""
+RELEASES = {
+    path.stem: json.loads(path.read_text(encoding="utf-8"))
+    for path in sorted(OPENAPI.parent.joinpath("released").glob("*.json"))
+}
+"""The operations of each released version, oldest first."""
 PROPOSAL = "proposal"
 """Key of a check that holds a whole board type, whose keys the page has already."""
 EXAMPLE_LINES, EXAMPLE_WIDTH = 16, 110
@@ -171,36 +180,45 @@ def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[
     yield ""
     purpose, _, more = operation.get("description", "").partition("\n\n")
     scope = scope_needed(method.upper(), path)
-    yield " ".join(purpose.split()) + (f" Scope: {scope}." if scope else "")
+    since = next(
+        (v for v, known in RELEASES.items() if f"{method.upper()} {path.removeprefix('/api/v1/')}" in known), None
+    )
+    age = f" Since {since}." if since else " Not released yet."
+    old = " **Deprecated.**" if operation.get("deprecated") else ""
+    yield " ".join(purpose.split()) + (f" Scope: {scope}." if scope else "") + age + old
     yield ""
     if more:
         yield from (" ".join(part.split()) + "\n" for part in more.split("\n\n"))
     rows = []
-    for parameter in operation.get("parameters", ()):
+    parameters = operation.get("parameters", ())
+    wanted = operation.get("requestBody", {}).get("content", {})
+    reference = wanted.get("application/json", {}).get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
+    model = schemas.get(reference, {})
+    members = model.get("properties", {})
+    for parameter in parameters:
         name, schema = parameter["name"], parameter["schema"]
         if name in HEADERS:
             continue
         default = schema.get("default")
         stated = "required" if parameter.get("required") and parameter["in"] != "path" else ""
-        rows.append(
-            (
-                f"`{name}`",
-                parameter.get("description", ""),
-                _limits(schema),
-                stated if default is None else f"`{default}`",
-            )
-        )
-    wanted = operation.get("requestBody", {}).get("content", {})
-    body = wanted.get("application/json", {})
-    reference = body.get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
-    model = schemas.get(reference, {})
+        # What a body may state as well is described there.
+        meaning = parameter.get("description") or members.get(name, {}).get("description", "")
+        either = f"`{name}` (query or body)" if name in members else f"`{name}`"
+        rows.append((either, meaning, _limits(schema), stated if default in (None, "") else f"`{default}`"))
+    named = {parameter["name"] for parameter in parameters}
     needed = model.get("required", ())
-    for name, schema in model.get("properties", {}).items():
+    for name, schema in members.items():
+        if name in named:
+            continue
         default = "required" if name in needed else "" if schema.get("default") is None else f"`{schema['default']}`"
-        rows.append((f"`{name}` (body)", schema.get("description", ""), _limits(schema), default))
+        meaning = schema.get("description") or ROOT_TEXTS.get(reference, {}).get(name, "")
+        rows.append((f"`{name}` (body)", meaning, _limits(schema), default))
     if rows:
         yield from _table(("parameter", "meaning", "values", "default"), rows)
+    replies = {s: r.get("content", {}) for s, r in operation["responses"].items() if s.startswith("2")}
     sent = _example(wanted)
+    if not sent and not any(map(_example, replies.values())):
+        yield f"Example: `{_request(method, path, parameters)}`\n"
     if sent:
         yield f"Body:\n\n```json\n{sent}\n```\n"
     for status, reply in operation["responses"].items():
@@ -212,9 +230,25 @@ def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[
                 + (f"\n\n```json\n{shown}\n```" if shown else "")
                 + "\n"
             )
-    own = [status for status in operation["responses"] if status[0] in "45" and status not in COMMON]
+    kinds = {str(status): kind for kind, (status, _, _) in reversed(KINDS.items())}
+    own = [
+        f"{status} `{kinds[status]}`" for status in operation["responses"] if status[0] in "45" and status not in COMMON
+    ]
     if own:
-        yield f"Refusals: {', '.join(own)}, and those of every address.\n"
+        yield f"Refused also with {', '.join(own)}.\n"
+
+
+def _request(method: str, path: str, parameters: Iterable[dict[str, Any]]) -> str:
+    """Return a request with the examples of its parameters; of those in the query, only the ones that it needs."""
+    query = []
+    for parameter in parameters:
+        name, schema = parameter["name"], parameter["schema"]
+        example = parameter.get("example", schema.get("enum", [schema.get("minimum", "")])[0])
+        value = quote(str(example[0] if isinstance(example, list) else example), safe=",")
+        path = path.replace(f"{{{name}}}", value)
+        if parameter["in"] == "query" and value and (parameter.get("required") or name in {"format", "component"}):
+            query.append(f"{name}={value}")
+    return f"{method.upper()} {path}" + (f"?{'&'.join(query)}" if query else "")
 
 
 def addresses() -> str:

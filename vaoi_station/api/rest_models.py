@@ -133,7 +133,7 @@ class DecisionRequest(Strict):
 class MethodRequest(Strict):
     """A request to set the stitching method of a board type."""
 
-    method: MethodName
+    method: MethodName = Field(description="The method from the next run on.")
 
 
 class RunPage(Strict):

@@ -46,7 +46,9 @@ class ClampedRequest(Strict):
     )
     sigma: Positive = Field(description="Standard deviation of a reading, of x and of y.")
     sigma_z: Positive | None = Field(default=None, description="That of z; needed if readings state z.")
-    unit: Literal["mm", "um", "inch", "mil"] = "mm"
+    unit: Literal["mm", "um", "inch", "mil"] = Field(
+        default="mm", description="Unit of all lengths of the request and of the reply."
+    )
     y_axis: Literal["up", "down"] = Field(
         default="up", description="Where y points if x points right, as the filmed side is seen."
     )

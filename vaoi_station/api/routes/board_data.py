@@ -60,7 +60,7 @@ class ImportOptions(Strict):
 
     side: Literal["top", "bottom"] = Field(default="top", description="The side that is up in the line.")
     name: str | None = Field(default=None, max_length=200, description="Name of the board type; else the design's.")
-    format: FormatName | None = None
+    format: FormatName | None = Field(default=None, description="Format of the file; absent: recognised.")
     units: Literal["mm", "inch", "mil"] | None = Field(default=None, description="Of a centroid file.")
     columns: str | None = Field(
         default=None,

@@ -81,8 +81,8 @@ class CameraTrialRequest(Strict):
 
     light: str | None = Field(default=None, min_length=1, max_length=100, description="Name of a light.")
     on_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False, description="On-time of its LEDs.")
-    exposure_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False)
-    gain_db: float | None = Field(default=None, ge=-60, le=60, allow_inf_nan=False)
+    exposure_us: float | None = Field(default=None, gt=0, le=1e6, allow_inf_nan=False, description="Exposure time.")
+    gain_db: float | None = Field(default=None, ge=-60, le=60, allow_inf_nan=False, description="Gain.")
 
 
 class CameraTrialFrame(FrameFigures):

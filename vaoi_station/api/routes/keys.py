@@ -21,8 +21,8 @@ Name = Annotated[str, Path(description="Name of a key.", pattern=r"^[A-Za-z0-9][
 class KeyRequest(BaseModel):
     """Name and scopes of a new key."""
 
-    name: KeyName
-    scopes: Annotated[list[Scope], Field(min_length=1, max_length=4)]
+    name: Annotated[KeyName, Field(description="A new name, which lists and the audit log show.")]
+    scopes: Annotated[list[Scope], Field(min_length=1, max_length=4, description="What the key permits.")]
 
 
 class KeyEntry(BaseModel):
@@ -55,7 +55,7 @@ class AuditEntries(BaseModel):
 class Login(BaseModel):
     """The key with which a page logs in."""
 
-    key: Annotated[str, Field(min_length=1, max_length=200)]
+    key: Annotated[str, Field(min_length=1, max_length=200, description="The key.")]
 
 
 class SessionState(BaseModel):
@@ -91,7 +91,9 @@ def router(services: Services, access: AccessControl) -> APIRouter:
         await ask(keys.revoke, name)
 
     @routes.get("/audit")
-    async def get_audit(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> AuditEntries:
+    async def get_audit(
+        limit: Annotated[int, Query(ge=1, le=1000, description="Largest number of entries.")] = 100,
+    ) -> AuditEntries:
         """Return the newest commands and refusals: time, key, address, method, path, query and status."""
         return AuditEntries(entries=await ask(access.audit.newest, limit))
 

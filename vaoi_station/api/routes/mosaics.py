@@ -143,9 +143,9 @@ def router(services: Services) -> APIRouter:
         run: RunId,
         picture: Picture,
         level: Annotated[int, Path(description="Level of DZI; the last one is the largest.", ge=0, le=40)],
-        column: Side,
-        row: Side,
-        suffix: Literal["jpg", "jpeg", "png"],
+        column: Annotated[Side, Path(description="Column of the tile, from 0.")],
+        row: Annotated[Side, Path(description="Row of the tile, from 0.")],
+        suffix: Annotated[Literal["jpg", "jpeg", "png"], Path(description="Format of the tile.")],
     ) -> Response:
         """Return one tile of a Deep Zoom Image, 256 × 256 px or less. 410: the frames are no longer in memory."""
         name, format = parse_name(picture), "png" if suffix == "png" else "jpg"
@@ -169,9 +169,9 @@ def router(services: Services) -> APIRouter:
         run: RunId,
         picture: Picture,
         x0: Annotated[float | None, Query(description="Corner of a region, CAD; all four or none.")] = None,
-        y0: float | None = None,
-        x1: float | None = None,
-        y1: float | None = None,
+        y0: Annotated[float | None, Query(description="The same corner, y.")] = None,
+        x1: Annotated[float | None, Query(description="The opposite corner, x.")] = None,
+        y1: Annotated[float | None, Query(description="The opposite corner, y.")] = None,
         px_per_mm: Annotated[
             float | None, Query(description="Resolution; default: that of the cameras.", ge=0.1, le=500)
         ] = None,

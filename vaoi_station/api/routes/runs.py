@@ -85,7 +85,7 @@ def router(services: Services) -> APIRouter:
         *,
         request: Request,
         wanted: Annotated[RunFilter, Depends(run_filter)],
-        limit: Annotated[int, Query(ge=1, le=500)] = 50,
+        limit: Annotated[int, Query(ge=1, le=500, description="Largest number of runs.")] = 50,
         before: Cursor = None,
         read_id: Annotated[
             str | None,
@@ -196,7 +196,9 @@ def router(services: Services) -> APIRouter:
         run: RunId,
         ref: Address,
         view: Annotated[int, Path(description="Index of the view in the list of the part, from 0.", ge=0, le=99)],
-        what: Literal["part", "good", "difference"],
+        what: Annotated[
+            Literal["part", "good", "difference"], Path(description="The part, the good one, or their difference.")
+        ],
     ) -> Response:
         """Return a picture of a part, of the same part of a good board, or their difference, under one light."""
         views = (await services.pictures.ask(coordinator.parts.views, run, ref)).views
@@ -294,7 +296,9 @@ def router(services: Services) -> APIRouter:
 
     @routes.put("/{run}/hold")
     async def hold_run(
-        run: RunId, holder: Holder, purpose: Annotated[PlainText, Query(max_length=200)] = ""
+        run: RunId,
+        holder: Holder,
+        purpose: Annotated[PlainText, Query(max_length=200, description="What for; people see it.")] = "",
     ) -> LeaseStatus:
         """Keep a run's frames in memory until the hold expires. A repeated call renews the hold."""
         return await ask(coordinator.hold, run, holder, purpose)

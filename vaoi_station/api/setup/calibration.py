@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, Field, model_validator
 
 from vaoi_station.api.http_caching import json_of
@@ -96,7 +96,12 @@ class TrialRequest(Strict):
     residual_limit_px: float = Field(
         default=0.2, gt=0, le=100, description="Largest accepted rms residual of a camera."
     )
-    working_distance_mm: float | None = Field(default=None, gt=0, le=10_000)
+    working_distance_mm: float | None = Field(
+        default=None,
+        gt=0,
+        le=10_000,
+        description="Height of the cameras above the board; absent: heights have no parallax.",
+    )
     center_tolerance_mm: float = Field(
         default=2.0, gt=0, le=1000, description="Accuracy of nominal_center_mm to the board as it lies."
     )
@@ -162,11 +167,11 @@ class MarksRequest(Strict):
     run: str | None = Field(
         default=None, min_length=1, max_length=64, description="Id of a run whose frames can still be read."
     )
-    row: int | None = Field(default=None, ge=0, le=100_000)
+    row: int | None = Field(default=None, ge=0, le=100_000, description="Row of the run, from 0.")
     trial: int | None = Field(
         default=None, ge=1, le=10**9, description="Number of the newest trial of the camera, in place of run and row."
     )
-    camera: int = Field(ge=0, le=1000)
+    camera: int = Field(ge=0, le=1000, description="Camera, from 0.")
     layout: BoardLayout
     pitch_mm: Pitch = None
     px_per_mm: PxPerMm = None
@@ -203,7 +208,9 @@ def router(services: Services, files: StationFiles, camera_trials: CameraTrials)
         return designed, artwork_title(designed, made.pitch_mm)
 
     @routes.get("/artwork/{file}", response_class=Response, responses=file_reply("The file.", *_MEDIA.values()))
-    async def get_calibration_artwork(file: ArtworkFile, options: Annotated[ArtworkOptions, Query()]) -> Response:
+    async def get_calibration_artwork(
+        file: Annotated[ArtworkFile, Path(description="Name of the file.")], options: Annotated[ArtworkOptions, Query()]
+    ) -> Response:
         """Return a file of the artwork of a calibration board for the cameras of this station, to print at 1:1.
 
         Vector graphics for printers have the number of each camera and an arrow along them.
@@ -274,7 +281,12 @@ def router(services: Services, files: StationFiles, camera_trials: CameraTrials)
     @routes.get(
         "/trial/pictures/{picture}", response_class=Response, responses=file_reply("The picture.", "image/jpeg")
     )
-    async def get_trial_picture(picture: Literal["marks", "difference"]) -> Response:
+    async def get_trial_picture(
+        picture: Annotated[
+            Literal["marks", "difference"],
+            Path(description="The marks, or the difference to the calibration in force."),
+        ],
+    ) -> Response:
         """Return a picture of the trial: the marks that were found, or the difference to the calibration in force."""
         return Response(await ask(trials.picture, picture), media_type="image/jpeg")
 

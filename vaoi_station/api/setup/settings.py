@@ -79,7 +79,7 @@ class SettingChange(Strict):
 class SettingsChange(Strict):
     """Changes of station.toml. They are made together or not at all."""
 
-    changes: list[SettingChange] = Field(min_length=1, max_length=500)
+    changes: list[SettingChange] = Field(min_length=1, max_length=500, description="New values by key.")
 
 
 class SettingsProposal(BaseModel):
