@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from queue import SimpleQueue
@@ -147,15 +148,13 @@ def test_a_command_that_takes_too_long_may_switch_the_power_on_before_it_ends(tm
 def test_the_end_of_the_station_waits_for_the_command(tmp_path: Path) -> None:
     """Ended half-way, it would leave the camera without power."""
     begun, on = tmp_path / "begun", tmp_path / "on"
-    power = command(tmp_path, f"touch {begun}", "sleep 0.5", f"touch {on}")
+    os.mkfifo(begun)
+    power = command(tmp_path, f"echo > {begun}", "sleep 0.5", f"touch {on}")
     config = camera_config(address="127.0.0.99")
     camera = AravisCamera(0, Unopened(config, DeviceError("gone", code="camera-absent")), power)
     camera._power_is_due = True
     camera.start(SimpleQueue())
-    until_s = time.monotonic() + 20
-    while not begun.exists():
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
+    begun.read_text()  # waits until the command writes
     camera.close()
     assert on.exists()
 

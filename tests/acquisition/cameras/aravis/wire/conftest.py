@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import gzip
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,7 +12,10 @@ import pytest
 
 from tests.acquisition.cameras.aravis.stand_in import camera_config, station_config
 from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Device, Stage, thread_names, wait_for_remains
+from tests.needs import DESCRIPTIONS, need_descriptions, need_referee
 from vaoi_station.config import StationConfig
+from vaoi_station.rig.gige.camera import Camera
+from vaoi_station.rig.gige.first_values import Sensor
 from vaoi_station.rig.network import LoopbackAddresses, addresses
 
 
@@ -33,6 +37,24 @@ def device(tmp_path: Path) -> Iterator[Callable[..., Device]]:
     yield plug
     for plugged in devices:
         plugged.unplug()
+
+
+@pytest.fixture
+def plug() -> Iterator[Callable[[str], Camera]]:
+    """Plug in a camera with the description of this name."""
+    need_descriptions()
+    need_referee()
+    plugged: list[Camera] = []
+
+    def one(name: str) -> Camera:
+        text = gzip.decompress((DESCRIPTIONS / f"{name}.xml.gz").read_bytes()).decode("utf-8-sig")
+        number = len(plugged) + 2
+        plugged.append(Camera(f"127.0.0.{number}", text, serial=f"REAL{number}", sensor=Sensor(640, 480)))
+        return plugged[-1]
+
+    yield one
+    for camera in plugged:
+        camera.close()
 
 
 @pytest.fixture

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,30 +12,11 @@ from tests.acquisition.cameras.aravis.wire.stage import HEIGHT, WIDTH, Stage, no
 from tests.gige.descriptions import FilmingLine
 from tests.gige.leftovers import leave_all, survivors
 from tests.gige.referee import Referee
-from tests.needs import DESCRIPTIONS, need_descriptions, need_referee
+from tests.needs import DESCRIPTIONS
 from vaoi_station.config import StationConfig
 from vaoi_station.rig.gige.camera import Camera
-from vaoi_station.rig.gige.first_values import Sensor
 
 EXPOSURE_US = 250.0
-
-
-@pytest.fixture
-def plug() -> Iterator[Callable[[str], Camera]]:
-    """Plug in a camera with the description of this name."""
-    need_descriptions()
-    need_referee()
-    plugged: list[Camera] = []
-
-    def one(name: str) -> Camera:
-        text = gzip.decompress((DESCRIPTIONS / f"{name}.xml.gz").read_bytes()).decode("utf-8-sig")
-        number = len(plugged) + 2
-        plugged.append(Camera(f"127.0.0.{number}", text, serial=f"REAL{number}", sensor=Sensor(640, 480)))
-        return plugged[-1]
-
-    yield one
-    for camera in plugged:
-        camera.close()
 
 
 def test_nothing_that_was_left_in_a_camera_survives(
