@@ -121,7 +121,14 @@ class HeldStation(StationCoordinator):
             self.log.append(EventRecord(number=len(self.log) + 1, time=utc(), kind=kind, message=message, **fields))
             self._news.notify_all()
 
-    def film(self, *, verdict: Status = Status.OK, board_id: str | None = None, finish: bool = True) -> str:
+    def film(
+        self,
+        *,
+        verdict: Status = Status.OK,
+        board_id: str | None = None,
+        finish: bool = True,
+        board_type: str = "demo-board",
+    ) -> str:
         """One board passes: the frame (0, 1) comes with holes, (1, 2) not at all."""
         run = f"r{len(self.filmed) + 1:06d}"
         random = np.random.default_rng(len(self.filmed))
@@ -135,7 +142,7 @@ class HeldStation(StationCoordinator):
                 frames.append(FrameRecord(camera=camera, row=row, verdict=lost, cause=cause, **taken))
                 self.pixels[run, camera, row] = _scene(random, camera, row)
         detail = RunDetail(
-            id=run, board_type="demo-board", board_id=board_id, job_id=None,
+            id=run, board_type=board_type, board_id=board_id, job_id=None,
             state=RunState.STITCHING, verdict=None, started=utc(), finished=None, rows=ROWS, cameras=CAMERAS,
             counts=VerdictCounts(ok=CAMERAS * ROWS - 2, incomplete=1, missing=1), reasons=(), belt=None,
             timings=None, frames_available=True, frames=tuple(frames), ended="clear", strays=0,
@@ -360,8 +367,10 @@ class HeldStation(StationCoordinator):
         m = self.cameras[0].image_from_row.matrix
         motion = [np.array([[1, 0, -5.0 * j], [0, 1, 0], [0, 0, 1]]) for j in range(ROWS)]
         images = tuple(tuple(None if (i, j) == (1, 2) else m @ d for j, d in enumerate(motion)) for i in range(CAMERAS))
+        bottom = self.types[self.run(run).board_type].side == "bottom"
+        c = np.array([[-1.0, 0, 60], [0, 1, 0], [0, 0, 1]]) if bottom else np.eye(3)
         return Stitch(
-            method="held", image_matrices=images, cad_matrix=np.eye(3), row_motion=tuple(motion), status=Status.OK,
+            method="held", image_matrices=images, cad_matrix=c, row_motion=tuple(motion), status=Status.OK,
             quality=held_quality(CAMERAS, ROWS),
         )  # fmt: skip
 
@@ -396,10 +405,10 @@ class HeldStation(StationCoordinator):
 
     def components(self, run: str) -> tuple[ComponentSummary, ...]:
         unseen = {u.address for u in self.run(run).unseen}
-        return held_components(self.types["demo-board"], unseen, held_quality(CAMERAS, ROWS))
+        return held_components(self.types[self.run(run).board_type], unseen, held_quality(CAMERAS, ROWS))
 
     def images(self, run: str, ref: str, wanted: ImageRequest = ImageRequest()) -> ChosenImages:  # noqa: B008
-        board_type, stitch, frames = self.types["demo-board"], self.stitch(run), self.run(run).frames
+        board_type, stitch, frames = self.types[self.run(run).board_type], self.stitch(run), self.run(run).frames
         component = board_type.component(ref)
         if component is None:
             raise NotFoundError(f"There is no component {ref!r}.", code="unknown-component")

@@ -128,6 +128,11 @@ def test_german_pages_translate_every_note(untouched_client: Any, name: str, sec
     assert set(re.findall(r'^  "([a-z-]+)": \(', texts, re.MULTILINE)) == codes_of(section)
 
 
+def test_german_pages_translate_every_reason_of_a_board_with_two_sides(untouched_client: Any) -> None:
+    texts = dictionary(untouched_client, "de", "boardSides")
+    assert set(re.findall(r'^  "([a-z-]+)": "', texts, re.MULTILINE)) == codes_of("Reasons of a board")
+
+
 def test_the_documents_are_served_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "index.html").write_text("<title>Documents</title>")

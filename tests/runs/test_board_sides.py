@@ -111,8 +111,8 @@ def test_an_order_or_a_code_at_its_place_states_the_flip_where_fiducials_do_not(
     assert codes(joined(side("bottom", flip="x"), side("top", flip="y"))) == ["flip-contradicts"]
 
 
-def test_parts_without_outlines_may_lie_anywhere() -> None:
-    found = joined(side("bottom", extent_mm=((5.0, 5.0), (20.0, 20.0)), outlined=False), side("top"))
+def test_sides_without_outlines_are_joined() -> None:
+    found = joined(side("bottom", extent_mm=None), side("top"))
     assert found.status is Status.OK
 
 

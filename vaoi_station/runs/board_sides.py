@@ -62,10 +62,9 @@ class BoardSide(Strict):
     reasons: tuple[Reason, ...] = ()
     identity: str | None = Field(default=None, description="State of its identity, if the board type has codes.")
     components: int
-    extent_mm: tuple[Point, Point] = Field(
-        description="Lowest and highest corner of the board, CAD coordinates of the top view, mm, y up."
+    extent_mm: tuple[Point, Point] | None = Field(
+        default=None, description="Lowest and highest corner of the outline, CAD coordinates of the top view, mm, y up."
     )
-    outlined: bool = Field(default=True, description="False: without an outline, `extent_mm` is that of the parts.")
     cad_matrix: Matrix | None = Field(
         default=None, description="C of the run, from these CAD coordinates to its tester coordinates."
     )
@@ -188,7 +187,7 @@ def side_of(known: FinishedRun, address: str) -> BoardSide:
     if stitch is not None and stitch.cad_matrix is not None:
         # From mm with y up, as the extent: the two sides may be of different units and axes.
         matrix = tuple(map(tuple, (np.asarray(stitch.cad_matrix) @ np.diag([*(1 / up), 1.0])).tolist()))
-    corners = np.sort(np.array(board.extent()) * up, axis=0).round(4).tolist()
+    corners = None if board.outline is None else np.sort(np.array(board.extent()) * up, axis=0).round(4).tolist()
     return BoardSide(
         side=board.side,
         run=detail.id,
@@ -201,8 +200,7 @@ def side_of(known: FinishedRun, address: str) -> BoardSide:
         reasons=detail.reasons,
         identity=None if known.identity is None else known.identity.state,
         components=len(board.components),
-        extent_mm=tuple(map(tuple, corners)),
-        outlined=board.outline is not None,
+        extent_mm=None if corners is None else tuple(map(tuple, corners)),
         cad_matrix=matrix,
         turn_certain=stitch is not None and stitch.quality.get("orientation") == "certain",
         code_at_place=known.identity is not None and code_at_place(board, known.identity),
@@ -236,12 +234,12 @@ def _mm_up(board: BoardType) -> Floats:
 def code_at_place(board: BoardType, identity: IdentityDocument) -> bool:
     """Return whether a code was read at a place that would be none if the board lay turned by 180°."""
     places = () if board.identity is None else board.identity.places
-    centre = np.sum(board.extent(), axis=0)
+    read = [np.array(code.center) for code in identity.codes] if places else []
+    centre = np.sum(board.extent(), axis=0) if read else np.zeros(2)
 
     def within(place: CodePlace, point: Floats) -> bool:
         return bool((np.abs(point - place.center) <= np.array([place.width, place.height]) / 2).all())
 
-    read = [np.array(code.center) for code in identity.codes]
     return any(
         any(within(place, point) for place in places) and not any(within(place, centre - point) for place in places)
         for point in read
@@ -351,7 +349,7 @@ def _differences(top: BoardSide, bottom: BoardSide) -> list[Reason]:
         message = f"{types} are of revisions {top.revision!r} and {bottom.revision!r}"
         action = "Check the board; import both sides from the data of one revision."
         reasons.append(Reason(code="sides-other-revision", message=message, action=action))
-    if top.outlined and bottom.outlined:
+    if top.extent_mm is not None and bottom.extent_mm is not None:
         a, b = np.array(top.extent_mm), np.array(bottom.extent_mm)
         apart, moved = float(np.abs(np.ptp(a, axis=0) - np.ptp(b, axis=0)).max()), float(np.abs(a - b).max())
         if apart > _SAME_MM:

@@ -30,6 +30,7 @@ def held_quality(cameras: int, rows: int) -> dict[str, Any]:
             {"name": "F1", "sightings": 2, "residual_px": [0.03, 0.04]},
             {"name": "F2", "sightings": 0, "residual_px": None},
         ],
+        "orientation": "certain",
         "component_sigma_px": {"U1": 0.02, "R1": 0.05, "2/R1": 0.4},
     }
 
@@ -63,8 +64,8 @@ def held_components(board_type: BoardType, unseen: set[str], quality: dict[str, 
         ComponentSummary(
             address=c.address, ref=c.ref, panel=c.panel, center_mm=c.center, width_mm=c.width, height_mm=c.height,
             rotation_deg=c.rotation, tester_mm=c.center, views=2, unseen=c.address in unseen,
-            sigma_px=quality["component_sigma_px"][c.address],
-            sigma_mm=quality["component_sigma_px"][c.address] / 8, footprint=tuple(map(tuple, corners[n])),
+            sigma_px=quality["component_sigma_px"].get(c.address),
+            sigma_mm=quality["component_sigma_px"].get(c.address, 0.8) / 8, footprint=tuple(map(tuple, corners[n])),
         )
         for n, c in enumerate(board_type.components)
     )  # fmt: skip

@@ -64,7 +64,7 @@ class HeldMosaics(Mosaics):
         numbered = tuple(f.model_copy(update={"slot": n}) for n, f in enumerate(detail.frames))
         return held_run(
             detail=detail.model_copy(update={"frames": numbered}),
-            board_type=self._station.types["demo-board"],
+            board_type=self._station.types[detail.board_type],
             cameras=self._station.cameras,
             stitch=stitch,
             document=self._station.stitch_text(run),

@@ -6,7 +6,7 @@ import { language } from "./texts/language.js";
 
 const BOARD = [
   "board/board.js", "board/colours.js", "board/comparison.js", "board/deep_zoom.js", "board/drawings.js", "board/exports.js", "board/first_reason.js",
-  "board/measures.js", "board/neighbour.js", "board/page_state.js", "board/pictures.js", "board/raw_frames.js", "board/report.js", "board/timing.js", "board/zoom.js", "parts/files.js", "parts/identity.js",
+  "board/measures.js", "board/neighbour.js", "board/page_state.js", "board/pictures.js", "board/raw_frames.js", "board/report.js", "board/side_links.js", "board/timing.js", "board/zoom.js", "parts/files.js", "parts/identity.js",
   "vendor/openseadragon/openseadragon.min.js",
 ];
 

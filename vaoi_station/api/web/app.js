@@ -48,6 +48,7 @@ const VIEWS = [
   ["line", /^#?\/?$/, () => new LineView(station, refresh)],
   ["boards", /^#\/boards(?:\?(.*))?$/, async (query) => new (await import("./boards/boards.js")).BoardsView(station, query ?? "")],
   ["boards", /^#\/board\/([^/?]+)(?:\?(.*))?$/, async (run, query) => new (await import("./board/board.js")).BoardView(station, run, query ?? "")],
+  ["boards", /^#\/sides\/([^/?]+)$/, async (board) => new (await import("./board/sides.js")).SidesView(station, board)],
   ["trends.entry", /^#\/trends(?:\?(.*))?$/, async (query) => new (await import("./trends/trends.js")).TrendsView(station, query ?? "")],
   ["cameras.entry", /^#\/cameras$/, async () => new (await import("./cameras/cameras.js")).CamerasView(station)],
   ["setUp", /^#\/setup(?:\/(.*))?$/, async (path) => new (await import("./setup/setup.js")).SetupView(path ?? "")],

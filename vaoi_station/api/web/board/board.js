@@ -15,6 +15,7 @@ import { Pictures } from "./pictures.js";
 import { showRawFrames } from "./raw_frames.js";
 import { FirstReason } from "./first_reason.js";
 import { showReport } from "./report.js";
+import { showSideLinks } from "./side_links.js";
 import { timing } from "./timing.js";
 import { ZoomSide } from "./zoom.js";
 
@@ -27,6 +28,7 @@ const PART = `
   <h2 id="board-title" data-text="board.loading"></h2>
   <p id="board-order"></p>
   <div id="decisions"></div>
+  <nav id="sides-of-board" data-label="board.sides.both" hidden></nav>
   <nav id="boards-beside" data-label="board.neighbours"></nav>
   <a href="#/boards" id="all-boards" class="button" data-text="back"></a>
 </section>
@@ -75,10 +77,10 @@ export class BoardView extends View {
     NARROW.addEventListener("change", () => this.#placeTabs(), this.#closed);
   }
 
-  // With Alt: the part in doubt that comes next or before, and the board that came later or earlier.
+  // With Alt: the part in doubt that comes next or before, the board that came later or earlier, and the other side.
   #key(event) {
     const part = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    const board = { PageDown: "later", PageUp: "earlier" }[event.key];
+    const board = { PageDown: "later", PageUp: "earlier" }[event.key] ?? (event.code === "KeyS" ? "other-side" : null);
     if (!event.altKey || !(part || board) || event.target instanceof HTMLSelectElement) return;
     event.preventDefault();
     if (part) this.#measures.step(part);
@@ -190,6 +192,7 @@ export class BoardView extends View {
     if (failed && this.#state.get("tab") === "part") this.#open("report");
     if (failed) rest.unattended(showRawFrames(this.part("raw"), run));
     rest.unattended(this.#showNeighbours(run));
+    rest.unattended(showSideLinks(this.part("sides-of-board"), run));
   }
 
   async #showBoard(run, list) {

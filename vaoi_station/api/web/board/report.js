@@ -18,7 +18,7 @@ export function showReport(root, run, { parts, overlay }) {
 export const reasonSaid = ({ cause, code, message, action }) => said(`${sentence(message)} ${sentence(action)}`.trim(), texts.reasons[cause] ?? texts.reasons[code]);
 
 // The reasons of results begin with a small letter and have no full stop.
-const sentence = (text) => text && `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`;
+export const sentence = (text) => text && `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`;
 
 // The largest residual of the proof in µs; "" if no frame has one.
 function within(proof) {

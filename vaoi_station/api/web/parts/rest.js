@@ -80,6 +80,7 @@ export const boardType = (name) => call("GET", `/board-types/${encodeURIComponen
 export const limits = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/limits`);
 export const checkLimits = (type, wanted) => call("POST", `/board-types/${encodeURIComponent(type)}/limits/check`, wanted);
 export const setLimits = (type, wanted) => call("PUT", `/board-types/${encodeURIComponent(type)}/limits`, wanted);
+export const bothSides = (id, query = {}) => call("GET", `/boards/${encodeURIComponent(id)}?${new URLSearchParams(query)}`);
 export const nextRun = (id) => call("GET", `/runs/next?${new URLSearchParams({ after: id, timeout: 0 })}`); // null: it is the last one
 export const goodBoards = (type) => call("GET", `/board-types/${encodeURIComponent(type)}/good`);
 export const keepAsGood = (id) => call("PUT", `/runs/${encodeURIComponent(id)}/good`);

@@ -6,6 +6,20 @@ const board = {
   tabs: "Was von der Baugruppe gezeigt wird",
   tab: { part: "Bauteil", report: "Bericht", timing: "Zeiten", export: "Export" },
 
+  sides: {
+    both: "Beide Seiten",
+    names: { top: "Oberseite", bottom: "Unterseite" },
+    find: "Bauteil auf einer der Seiten",
+    coming: "Ihre Bilder kommen noch.",
+    missing: "Von dieser Seite gibt es keine Bilder.",
+    noPicture: "Ihre Einzelbilder sind nicht mehr im Speicher.",
+    parts: (n, unseen) => `${n} ${n === 1 ? "Bauteil" : "Bauteile"}${unseen ? `, ${unseen} nicht gesehen` : ""}`,
+    picture: (side) => `${side}, ganze Baugruppe`,
+    map: (side, n) => `${side}: Plan von ${n} Bauteilen, wie die Kameras sie sehen`,
+    flip: (axis, by) => `Um ${axis} gewendet (${by.join(", ")})`,
+    by: { order: "Auftrag", codes: "Codes", cad: "CAD-Daten" },
+  },
+
   zoomHelp: "Ganze Baugruppe. Pfeiltasten verschieben, Plus und Minus vergrößern und verkleinern, 0 zeigt alles.",
   before: "Voriges Bauteil",
   after: "Nächstes Bauteil, das schlechteste zuerst",
@@ -1352,7 +1366,24 @@ const translated = {
   },
 };
 
+const boardSides = {
+  "side-missing": "Kein Lauf zeigt diese Seite. Sie aufnehmen oder die Station fragen, die sie aufnimmt.",
+  "side-coming": "Eine Seite wird noch aufgenommen oder berechnet, oder ihr Auftrag wartet. Warten, bis ihr Lauf fertig ist.",
+  "side-too-old": "Eine Seite wurde viel früher aufgenommen als die andere. Prüfen, ob zwei Baugruppen diese Nummer haben, sie noch einmal aufnehmen oder nach einer längeren Zeit fragen.",
+  "side-degraded": "Die Bilder einer Seite sind nur mit Vorbehalt gut. Die Gründe ihres Laufs ansehen.",
+  "side-failed": "Von einer Seite gibt es keine brauchbaren Bilder. Sie noch einmal aufnehmen.",
+  "side-of-other-board": "Die Codes einer Seite nennen eine andere Nummer. Feststellen, welche Baugruppe es ist.",
+  "side-seen-twice": "Eine Seite wurde noch einmal aufgenommen, obwohl ein Lauf von ihr gut ist; der neueste zählt. Prüfen, ob zwei Baugruppen diese Nummer haben.",
+  "sides-same": "Läufe zweier Stationen oder Typen zeigen dieselbe Seite. `side` beider Typen prüfen, und welche Seite jede Station aufnimmt.",
+  "sides-other-revision": "Die Typen beider Seiten haben verschiedene Revisionen. Die Baugruppe prüfen; beide Seiten aus den Daten einer Revision einlesen.",
+  "sides-differ": "Beide Seiten sind nicht von einem Produkt: Umrisse oder Bauteile passen nicht zusammen. Prüfen, ob beide Typen aus einer Datei desselben Produkts stammen.",
+  "sides-not-flipped": "Beide Läufe sehen dieselbe Seite, oder die Baugruppe lag schräg. `side` beider Typen und die Nummer prüfen.",
+  "flip-contradicts": "Die Baugruppe lag anders gewendet, als ihr Auftrag sagt, oder die Aufträge widersprechen sich. Prüfen, wie sie lag, und `flip` des Auftrags; bis dahin keine Positionen verwenden.",
+  "flip-unknown": "Nichts sagt, um welche Achse die Baugruppe gewendet wurde. `flip` im Auftrag angeben oder im Typ einen Code oder eine unsymmetrische Passmarke beschreiben.",
+};
+
 export const texts = {
+  boardSides,
   board,
   cameras,
   lights,

@@ -6,6 +6,21 @@ const board = {
   tabs: "What is shown of the board",
   tab: { part: "Part", report: "Report", timing: "Timing", export: "Export" },
 
+  // both sides
+  sides: {
+    both: "Both sides",
+    names: { top: "Top", bottom: "Bottom" },
+    find: "Part on either side",
+    coming: "Its pictures still come.",
+    missing: "There are no pictures of this side.",
+    noPicture: "Its frames are no longer in memory.",
+    parts: (n, unseen) => `${n} ${n === 1 ? "part" : "parts"}${unseen ? `, ${unseen} not seen` : ""}`,
+    picture: (side) => `${side}, whole board`,
+    map: (side, n) => `${side}: map of ${n} parts, as the cameras see it`,
+    flip: (axis, by) => `Turned over about ${axis} (${by.join(", ")})`,
+    by: { order: "order", codes: "codes", cad: "CAD data" },
+  },
+
   // the whole board
   zoomHelp: "Whole board. Arrow keys move, plus and minus zoom, 0 shows all.",
   before: "Part before",
@@ -817,6 +832,7 @@ export const texts = {
   settings,
   setup,
   trends,
+  boardSides: {}, // as translated
   translated: { refused: "", refusals: {}, findings: {}, checks: {}, remarks: {}, notes: {}, program: {} }, // what the station says is English
   // frame of all pages
   line: "Line",
