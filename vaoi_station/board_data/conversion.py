@@ -30,6 +30,7 @@ from vaoi_station.geometry.polygon import encloses, find_crossing_edges
 from vaoi_station.model import BoardType
 from vaoi_station.model.board_type import (
     MOST_CUT_OUT_CORNERS,
+    MOST_POINTS,
     Component,
     Fiducial,
     OtherMark,
@@ -83,7 +84,7 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
             fiducials=tuple(fiducials),
             other_marks=tuple(other_marks) or None,
             components=tuple(map(_component, parts)),
-            test_points=_test_points(design),
+            test_points=_test_points(design, side, notes),
         )
     except ValidationError as error:
         faults = "; ".join(str(fault["msg"]) for fault in error.errors()[:3])
@@ -91,12 +92,22 @@ def to_board_type(design: Design, side: Side, name: str | None = None) -> tuple[
     return board, tuple(notes)
 
 
-def _test_points(design: Design) -> PointTable | None:
-    if not design.net_points:
+def _test_points(design: Design, side: Side, notes: list[Note]) -> PointTable | None:
+    points = [point for point in design.net_points if point.on_side(side)]
+    if len(points) > MOST_POINTS:
+        text = "the side has {count} test points, more than {most}; they were left out."
+        notes.append(noted("net-points-left-out", text, count=len(points), most=MOST_POINTS))
+    if not 0 < len(points) <= MOST_POINTS:
         return None
-    x, y = zip(*(_rounded(p.at) for p in design.net_points), strict=True)
-    names, nets = zip(*((p.name, p.net) for p in design.net_points), strict=True)
-    return PointTable(name=names, x=x, y=y, net=nets)
+    x, y = zip(*(_rounded(p.at) for p in points), strict=True)
+    return PointTable(
+        name=tuple(p.name for p in points),
+        x=x,
+        y=y,
+        net=tuple(p.net for p in points),
+        kind=tuple(p.kind for p in points),
+        diameter=tuple(p.diameter and round(p.diameter, 4) for p in points),
+    )
 
 
 def _advice(design: Design, side: Side) -> str:

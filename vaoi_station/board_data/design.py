@@ -27,6 +27,7 @@ KICAD_COURTYARD_MM = 0.25
 SizeFrom = Literal["file", "table", "guess"]
 MarkKind = Literal["global", "local", "panel", "bad-board"]
 FoundBy = Literal["element", "attribute", "package", "name", "place"]
+PointKind = Literal["pad", "pin", "via"]
 
 
 @dataclass(frozen=True)
@@ -148,15 +149,26 @@ class Mark:
 
 
 class NetPoint(NamedTuple):
-    """A point of a net that a probe can reach."""
+    """A pad or via of a net, which a probe can reach on some sides."""
 
-    name: str
     ref: str
-    """The first letters of the part's designator; empty for a via."""
+    """The part's designator, of IPC-D-356 its first letters; empty for a via."""
+    pin: str
     net: str
     at: XY
     on_top: bool
+    """Whether there is copper on the top that solder mask does not cover, as far as the file states its mask."""
     on_bottom: bool
+    kind: PointKind = "pad"
+    """A pin goes through the board."""
+    diameter: float | None = None
+    """Smallest extent of the copper, mm."""
+    name: str = ""
+    """A name of its own: that of the file, or as `numbered` makes it."""
+
+    def on_side(self, side: Side) -> bool:
+        """Return whether a probe reaches it on a side."""
+        return self.on_top if side == "top" else self.on_bottom
 
 
 @dataclass(frozen=True)
@@ -246,7 +258,7 @@ class Design:
     steps: tuple[str, ...] = ()
     """All steps of the file that can be read."""
     net_points: tuple[NetPoint, ...] = ()
-    """Of a netlist that was joined: the points of the side that is imported."""
+    """Pads and vias of both sides, of the file itself or of a netlist that was joined."""
     notes: tuple[Note, ...] = ()
     """What the user must know about this import, a sentence each."""
 

@@ -56,6 +56,8 @@ class ImportTask(Strict):
     """The text of such a table."""
     join: Path | None = None
     """File with the bodies."""
+    test_points: bool = True
+    """Whether pads and vias of the file become test points."""
 
 
 class ImportReply(Strict):
@@ -130,7 +132,9 @@ def import_file(task: ImportTask) -> ImportReply:
     sizes = read_table(task.sizes) if task.sizes is not None else ()
     if task.size_table is not None:
         sizes = parse_table(task.size_table, "sizes")
-    design = read_design(task.file, Options(task.format, table, task.step, sizes, grid), task.join, task.side)
+    design = read_design(
+        task.file, Options(task.format, table, task.step, sizes, grid, task.test_points), task.join, task.side
+    )
     board, notes = to_board_type(design, task.side, task.name)
     document = board.model_dump_json(exclude_none=True)
     return ImportReply(overview=overview(design, board, notes), board_type=document, picture=board_picture(board))

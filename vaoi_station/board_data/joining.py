@@ -134,6 +134,7 @@ def join_designs(places: Design, bodies: Design, side: Side) -> Design:
         cut_outs=tuple(tuple(map(placement.apply, contour)) for contour in bodies.cut_outs),
         # Fiducials often stand in the CAD file alone; where both files have one, the places decide.
         marks=tuple(marks),
+        net_points=tuple(p._replace(at=placement.apply(p.at)) for p in bodies.net_points),
         table=places.table,
         step=bodies.step,
         steps=bodies.steps,

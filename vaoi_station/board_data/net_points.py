@@ -1,9 +1,13 @@
-"""Add the points of a netlist to a design: the shift between both files is found by the pads of the parts."""
+"""The points of nets that a probe can reach: their names, and those of a netlist that is joined with a design.
+
+The shift between both files is found by the pads of the parts.
+"""
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +21,69 @@ _LEAST, _MOST = 3, 2000
 """Parts that must agree about the shift, and parts that are compared."""
 _LETTERS = 6
 """A netlist has this many letters of a designator."""
+_CELL_MM = 0.02
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]+")
+_MOST_NAME = 180
+
+
+class Openings:
+    """Places where solder mask is open."""
+
+    def __init__(self, places: Iterable[XY]) -> None:
+        self._cells = {_cell(at) for at in places}
+
+    def __contains__(self, at: XY) -> bool:
+        """Return whether there is an opening at a place, give or take a rounding of the file."""
+        column, row = _cell(at)
+        return any((column + i, row + k) in self._cells for i in (0, -1, 1) for k in (0, -1, 1))
+
+
+def _cell(at: XY) -> tuple[int, int]:
+    return round(at[0] / _CELL_MM), round(at[1] / _CELL_MM)
+
+
+def unmasked(points: Sequence[NetPoint], openings: Mapping[Side, Openings]) -> Iterator[NetPoint]:
+    """Yield points, out of reach on the sides on which solder mask covers them.
+
+    A side without openings is not known. Openings of pads may be drawn in another way than at their places: pads are
+    covered only if most others of their side have an opening.
+    """
+    sides: tuple[Side, ...] = ("top", "bottom")
+    shown = {}
+    for side in openings:
+        pads = [point.at in openings[side] for point in points if point.ref and point.on_side(side)]
+        shown[side] = 2 * sum(pads) > len(pads)
+    for point in points:
+        top, bottom = (
+            point.on_side(s) and (s not in openings or point.at in openings[s] or bool(point.ref and not shown[s]))
+            for s in sides
+        )
+        yield point._replace(on_top=top, on_bottom=bottom)
+
+
+def numbered(points: Iterable[NetPoint]) -> tuple[NetPoint, ...]:
+    """Return the points that a probe reaches on a side, with their names: `U1-3`, `VIA GND`, `VIA GND#2`.
+
+    Points that none reaches are counted, so that a name does not depend on the mask.
+    """
+    counts, names, out = Counter[str](), set[str](), []
+    for point in points:
+        stated = point.name or (f"{point.ref}-{point.pin}" if point.pin else f"{point.ref or 'VIA'} {point.net}")
+        base = _CONTROL.sub(" ", stated).strip()[:_MOST_NAME] or "VIA"
+        counts[base] += 1
+        if not (point.on_top or point.on_bottom):
+            continue
+        name = base if counts[base] == 1 else f"{base}#{counts[base]}"
+        while name in names:  # a pad may be named like this
+            counts[base] += 1
+            name = f"{base}#{counts[base]}"
+        names.add(name)
+        out.append(point._replace(name=name))
+    return tuple(out)
 
 
 def with_net_points(design: Design, points: Sequence[NetPoint], side: Side) -> Design:
-    """Return the design with the points that a probe reaches on a side, in its coordinates.
+    """Return the design with the points of a netlist, in its coordinates, by the parts of one side.
 
     Raises:
         InputError: the design is a panel, or the pads of the netlist are not those of its parts.
@@ -51,11 +114,12 @@ def with_net_points(design: Design, points: Sequence[NetPoint], side: Side) -> D
             action="Export both files from the same board.",
         )
     dx, dy = np.median(known[best], axis=0).tolist()
-    moved = tuple(
-        point._replace(at=(point.at[0] + dx, point.at[1] + dy))
-        for point in points
-        if (point.on_bottom if side == "bottom" else point.on_top)
-    )
+    moved = tuple(point._replace(at=(point.at[0] + dx, point.at[1] + dy)) for point in points)
     text = "{count} test points were added from the netlist, shifted by ({shift_mm}) mm: {agree} of {all} parts agree."
-    values = {"count": len(moved), "shift_mm": f"{dx:.3f}, {dy:.3f}", "agree": int(best.sum()), "all": len(known)}
+    values = {
+        "count": sum(p.on_side(side) for p in moved),
+        "shift_mm": f"{dx:.3f}, {dy:.3f}",
+        "agree": int(best.sum()),
+        "all": len(known),
+    }
     return replace(design, net_points=moved).with_notes(noted("net-points-added", text, **values))

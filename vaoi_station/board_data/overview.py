@@ -50,6 +50,7 @@ class ImportOverview(Strict):
     size_mm: tuple[float, float] = Field(description="Extent along CAD x and y.")
     sizes_from: dict[str, int] = Field(description="Number of components whose size is from file, table or guess.")
     heights: int = Field(description="Number of components with a height.")
+    test_points: int = Field(default=0, description="Pads and vias that a probe reaches on the side.")
     table: ImportedTable | None = None
     missing: list[MissingData]
     check: list[ImportRemark] = Field(description="What a person should check.")
@@ -75,6 +76,7 @@ def overview(design: Design, board: BoardType, notes: tuple[Note, ...]) -> Impor
         size_mm=(round(float(high[0] - low[0]), 3), round(float(high[1] - low[1]), 3)),
         sizes_from=dict(Counter(str(c.size_from) for c in board.components)),
         heights=sum(c.body_height is not None for c in board.components),
+        test_points=0 if board.test_points is None else len(board.test_points.name),
         table=design.table,
         missing=[MissingData(what=what, count=count, message=text) for what, count, text in _missing(design, board)],
         check=[ImportRemark(code=note.code, message=note, values=dict(note.values)) for note in notes],

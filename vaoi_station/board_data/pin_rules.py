@@ -172,6 +172,11 @@ def placed_parts(parts: Sequence[DrawnPart], usual: Usual, *, exact: bool = True
     return found, notes
 
 
+def rules_of(parts: Sequence[DrawnPart], usual: Usual) -> dict[Group, Rule]:
+    """Return the rule by which `placed_parts` places each group, if places may be those of other things than pins."""
+    return {key: decision.rule for key, decision in _decisions(_grouped(parts), usual, LEAST_MARGIN).items()}
+
+
 def _grouped(parts: Iterable[DrawnPart]) -> dict[Group, list[DrawnPart]]:
     groups: defaultdict[Group, list[DrawnPart]] = defaultdict(list)
     for drawn in parts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from vaoi_station.board_data import package_sizes
@@ -40,6 +40,8 @@ class Options:
     """Body sizes that come before the shipped table."""
     grid: Grid | None = None
     """How the board is repeated on a panel of which the file has no data."""
+    test_points: bool = True
+    """Whether pads and vias of the file become test points."""
 
 
 _READERS: dict[str, tuple[Callable[[bytes], bool], Callable[[bytes, Path, Options], Design]]] = {
@@ -78,16 +80,16 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
         raise InputError.field("--format", "the format", options.format, f"one of {', '.join(FORMATS)}")
     sizes = (*options.sizes, *package_sizes.shipped_table())
     design = _completed(_read(path, options), sizes)
-    if join is not None and join.is_file() and is_ipc_d356(_head(join)):
-        _refuse_without_effect(path, options, design.format, None)
-        if options.grid is not None:
-            raise InputError.field("--repeat", "the grid", "given", "absent: the netlist of --join is of one board")
-        return laid_out(with_net_points(design, read_ipc_d356(read_bytes(join), join), side))
-    bodies = _completed(_read(join, Options(step=options.step)), sizes) if join is not None else None
+    netlist = join if join is not None and join.is_file() and is_ipc_d356(_head(join)) else None
+    second = join if netlist is None else None
+    bodies = _completed(_read(second, Options(step=options.step)), sizes) if second is not None else None
     _refuse_without_effect(path, options, design.format, bodies.format if bodies is not None else None)
     if bodies is not None:
         design = join_designs(design, bodies, side)
-    return laid_out(repeated(design, options.grid) if options.grid is not None else design)
+    if netlist is not None:
+        design = with_net_points(design, read_ipc_d356(read_bytes(netlist), netlist), side)
+    laid = laid_out(repeated(design, options.grid) if options.grid is not None else design)
+    return laid if options.test_points else replace(laid, net_points=())
 
 
 def _completed(design: Design, sizes: package_sizes.Table) -> Design:

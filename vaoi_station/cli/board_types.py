@@ -78,6 +78,7 @@ def import_board_data(
         typer.Option(help="Take bodies, outline and marks from this file, or test points from this netlist."),
     ] = None,
     sizes: Annotated[Path | None, typer.Option(help="TOML table of body sizes by package name.")] = None,
+    test_points: Annotated[bool, typer.Option(help="Keep pads and vias that a probe reaches as test points.")] = True,
     confirm: Annotated[bool, typer.Option("--confirm", help="Store the board type; else only show it.")] = False,
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace a board type of the same name; its version is kept.")
@@ -93,6 +94,7 @@ def import_board_data(
     client = client_of(station, key_file, ca)
     options: dict[str, object] = {"side": side, "name": name, "format": format, "units": units, "columns": columns}
     options |= {"delimiter": delimiter, "step": step, "sizes": sizes}
+    options |= {} if test_points else {"test_points": False}
     bodies = None if join is None else StationImport.upload(client, join, {})
     if bodies is not None:
         options["join"] = bodies.document["id"]
@@ -102,7 +104,7 @@ def import_board_data(
         raise InputError(preview.document["refusal"])
     typer.echo(
         f"{found['side']} of {found['name']!r} ({found['format']}): {found['components']} components, "
-        f"{found['fiducials']} fiducials"
+        f"{found['fiducials']} fiducials, {found['test_points']} test points"
     )
     for remark in found["check"]:
         typer.echo(f"check: {remark['message']}")

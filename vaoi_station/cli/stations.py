@@ -267,6 +267,9 @@ def import_file(
         ),
     ] = None,
     sizes: Annotated[Path | None, typer.Option(help="TOML table of body sizes by package name.")] = None,
+    test_points: Annotated[
+        bool, typer.Option(help="Board data: keep pads and vias that a probe reaches as test points.")
+    ] = True,
 ) -> None:
     """Import an exported run, or make a board type (board.json) of the board data of a CAD system.
 
@@ -284,7 +287,7 @@ def import_file(
         raise InputError("a board type needs a file to be written to.", action="Give it by --out board.json.")
     task = {"file": file, "side": side, "name": name, "format": format, "units": units, "columns": columns}
     task |= {"delimiter": delimiter, "step": step, "repeat": repeat, "pitch": pitch, "rotate": rotate}
-    _import_board_data(out, task | {"border": border, "sizes": sizes, "join": join})
+    _import_board_data(out, task | {"border": border, "sizes": sizes, "join": join, "test_points": test_points})
 
 
 def _import_board_data(out: Path, task: dict[str, object]) -> None:
@@ -301,7 +304,7 @@ def _import_board_data(out: Path, task: dict[str, object]) -> None:
     shown = ", ".join(f"{count} sizes from {_SIZE_WORDS[key]}" for key, count in found.sizes_from.items())
     typer.echo(
         f"{out}: {found.side} of {found.name!r} ({found.format}): {found.components} components, {shown}; "
-        f"{found.fiducials} fiducials"
+        f"{found.fiducials} fiducials; {found.test_points} test points"
     )
     for remark in found.check:
         typer.echo(f"check: {remark.message}")

@@ -26,6 +26,7 @@ class ImportChoices(TypedDict, total=False):
     rotate: str
     border: str
     sizes: str | Path
+    test_points: bool
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ def import_board_data(
         **choices: `name` of the board type; `format`; `units` ("mm", "inch", "mil"), `columns` ("ref=1,x=3,y=4") and
             `delimiter` of a centroid file; `step` of an ODB++ design or IPC-2581 file, a board or its panel; of the
             panel of a file of one board `repeat` ("3x2", boards along x and y), `pitch` ("30x28.5", mm), `rotate`
-            ("0,180", degrees in turn), `border` ("0x5", mm); `sizes`, a TOML file with sizes of bodies by package.
+            ("0,180", degrees in turn), `border` ("0x5", mm); `sizes`, a TOML file with sizes of bodies by package;
+            `test_points`, False to leave out pads and vias.
 
     Raises:
         InputError: the file cannot be understood; the message says what to do.
@@ -68,8 +70,9 @@ def import_board_data(
     for name, value in choices.items():
         if name not in known:
             raise InputError.field(function, name, value, f"one of {', '.join(known)}")
-        if not isinstance(value, (str, Path) if name == "sizes" else str):
-            raise InputError.field(function, name, value, "a text")
+        expected = {"sizes": (str, Path), "test_points": bool}.get(name, str)
+        if not isinstance(value, expected):
+            raise InputError.field(function, name, value, "True or False" if expected is bool else "a text")
     reply = import_limited(
         ImportTask.model_validate({"file": file, "side": side, "join": second, **choices}), OF_PERSONS
     )

@@ -123,7 +123,9 @@ _MAX_ENTRIES = {
     "cut_outs": 500,
 }
 """Largest number of entries in each list of a board type."""
-_MOST_HEIGHT_MM, _MOST_POINTS = 1000.0, 50_000
+_MOST_HEIGHT_MM = 1000.0
+MOST_POINTS = 50_000
+"""Largest number of test points."""
 MOST_CUT_OUT_CORNERS = 20_000
 """Largest number of corners of all cut-outs together."""
 BoardTypeState = Literal["draft", "approved", "retired"]
@@ -241,14 +243,17 @@ class PointTable(FrozenModel):
     """CAD y of each."""
     net: tuple[str, ...] | None = None
     """Net of each."""
+    kind: tuple[Literal["pad", "pin", "via"], ...] | None = None
+    """Kind of each; a pin goes through the board."""
+    diameter: tuple[Positive | None, ...] | None = None
+    """Smallest extent of the copper of each; null where it is not known."""
 
     @model_validator(mode="after")
     def _columns_fit(self) -> Self:
-        counts = {len(self.name), len(self.x), len(self.y), len(self.name if self.net is None else self.net)}
-        if len(counts) > 1 or len(self.name) > _MOST_POINTS:
-            raise ValueError(
-                f"has columns of {sorted(counts)} entries, must have equal numbers, at most {_MOST_POINTS}"
-            )
+        columns = (self.name, self.x, self.y, self.net, self.kind, self.diameter)
+        counts = {len(column) for column in columns if column is not None}
+        if len(counts) > 1 or len(self.name) > MOST_POINTS:
+            raise ValueError(f"has columns of {sorted(counts)} entries, must have equal numbers, at most {MOST_POINTS}")
         _check_unique(list(self.name), "name")
         return self
 

@@ -98,6 +98,7 @@ class ImportOptions(Strict):
         pattern=PREVIEW_ID,
         description="Id of another preview, whose file has bodies and outline, or is a netlist (IPC-D-356).",
     )
+    test_points: bool = Field(default=True, description="Keep pads and vias that a probe reaches as test points.")
 
 
 class UploadOptions(ImportOptions):

@@ -88,8 +88,12 @@ def _panel(design: Design, boards: Sequence[Sequence[_Member]]) -> Design:
     )
     parts = tuple(part for part in design.parts if id(part) not in used)
     marks = tuple(mark for mark in design.marks if id(mark) not in used)
-    panel = replace(design, parts=parts, marks=marks, boards=tuple(placed))
-    return panel.with_notes(noted("read-as-panel", text, count=len(boards)))
+    notes = [noted("read-as-panel", text, count=len(boards))]
+    if design.net_points:
+        text = "the file does not state which of its {count} test points are of which board; they were left out."
+        notes.append(noted("net-points-of-panel", text, count=len(design.net_points)))
+    panel = replace(design, parts=parts, marks=marks, net_points=(), boards=tuple(placed))
+    return panel.with_notes(*notes)
 
 
 def _placed(anchor: Sequence[_Member], group: Sequence[_Member]) -> tuple[_Member, ...]:

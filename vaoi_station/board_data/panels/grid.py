@@ -110,5 +110,5 @@ def repeated(design: Design, grid: Grid) -> Design:
             "used; state them by --border."
         )
         notes.append(noted("panel-edges-unknown", text))
-    panel = replace(design, parts=(), outline=outline, cut_outs=(), marks=(), boards=tuple(boards))
+    panel = replace(design, parts=(), outline=outline, cut_outs=(), marks=(), net_points=(), boards=tuple(boards))
     return panel.with_notes(*notes)

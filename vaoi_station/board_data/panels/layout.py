@@ -12,6 +12,7 @@ from vaoi_station.board_data.design import (
     Contour,
     Design,
     Mark,
+    NetPoint,
     Part,
     PlacedBoard,
     Placement,
@@ -23,6 +24,7 @@ from vaoi_station.board_data.design import (
 from vaoi_station.board_data.marks import all_marks
 from vaoi_station.errors import InputError
 from vaoi_station.geometry.polygon import encloses
+from vaoi_station.model.board_type import MOST_POINTS
 
 MOST_PARTS = 40_000
 """Largest number of parts on both sides of a panel: twice that of the components of a board type."""
@@ -57,7 +59,13 @@ def laid_out(design: Design) -> Design:
         contours += ((size, board.at, contour) for size, contour in found[key][1])
     kept = nlargest(MOST_CUT_OUTS, contours, key=lambda c: c[0])
     cut_outs = (*design.cut_outs, *(tuple(map(at.apply, contour)) for _, at, contour in kept))
-    laid = replace(design, parts=tuple(parts), marks=tuple(marks), cut_outs=cut_outs)
+    points = list(design.net_points)
+    if (count := sum(len(board.design.net_points) for board in design.boards)) > 2 * MOST_POINTS:
+        text = "the panel has {count} test points, more than {most}; they were left out."
+        design = design.with_notes(noted("net-points-left-out", text, count=count, most=2 * MOST_POINTS))
+    else:
+        points += (_placed_point(point, board) for board in design.boards for point in board.design.net_points)
+    laid = replace(design, parts=tuple(parts), marks=tuple(marks), cut_outs=cut_outs, net_points=tuple(points))
     if left_out := sum(len(board.design.cut_outs) for board in design.boards) - len(kept):
         text = "{count} contours of the boards are too many or too fine; they were left out."
         laid = laid.with_notes(noted("contours-too-many", text, count=left_out))
@@ -87,6 +95,12 @@ def _placed_part(part: Part, board: PlacedBoard) -> Part:
     ref = part.ref if board.position else f"{board.name}/{part.ref}"
     rotation, origin = normalised(rotation + at.degrees), at.apply(part.origin)
     return replace(part, ref=ref, side=side, origin=origin, rotation=rotation, box=box, panel=board.position)
+
+
+def _placed_point(point: NetPoint, board: PlacedBoard) -> NetPoint:
+    top, bottom = (point.on_bottom, point.on_top) if board.at.mirrored else (point.on_top, point.on_bottom)
+    name = f"{board.name}/{point.name}"
+    return point._replace(name=name, at=board.at.apply(point.at), on_top=top, on_bottom=bottom)
 
 
 def _placed_mark(mark: Mark, board: PlacedBoard) -> Mark:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -19,13 +19,28 @@ from typing import NamedTuple
 import numpy as np
 
 from vaoi_station.board_data.contours import arc_points, circle_points, find_contours
-from vaoi_station.board_data.design import XY, Box, Design, Part, Placement, Side, box_around, normalised, noted
-from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts
+from vaoi_station.board_data.design import (
+    XY,
+    Box,
+    Design,
+    NetPoint,
+    Part,
+    Placement,
+    PointKind,
+    Side,
+    box_around,
+    normalised,
+    noted,
+)
+from vaoi_station.board_data.net_points import numbered
+from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts, rules_of
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
 
 _UNITS = {"INCH": 25.4, "THOU": 0.0254, "MM": 1.0, "MM100": 0.01}
-_SECTIONS = frozenset(("HEADER", "BOARD", "PADS", "PADSTACKS", "SHAPES", "COMPONENTS", "SIGNALS", "ROUTES"))
+_SECTIONS = frozenset(("HEADER", "BOARD", "PADS", "PADSTACKS", "SHAPES", "COMPONENTS", "SIGNALS", "ROUTES", "TESTPINS"))
+_NOWHERE = -32767
+"""Coordinates of a test pin that has no place, in the unit of the file."""
 LEAST_UNITS = 1e-3
 """Smallest n of `USER n`: a unit of 25 m."""
 
@@ -69,20 +84,27 @@ def read_gencad(data: bytes, path: Path) -> Design:
             name = line.word(1).removesuffix(".kicad_pcb")
     reader = _Reader(path, mm, sections)
     contours = find_contours(reader.edges(sections["BOARD"]), "$BOARD")
-    drawn, unknown = [], set()
+    drawn, shapes, unknown = [], [], set()
     for component in _components(sections["COMPONENTS"]):
         if "PLACE" in component:
             drawn.append(reader.part(component))
+            shapes.append(component.get("SHAPE", _Line(0, [])).word(1))
         else:
             unknown.add(component["COMPONENT"].word(1))
     # Tracks have corners where other pins would be, so that they show the rule of a side, but not the angle of a part.
     parts, notes = placed_parts(drawn, _usual_rule, exact=False)
     parts = [_with_angle_of_file(part, of) for part, of in zip(parts, drawn, strict=True)]
+    points = [*reader.pads(drawn, shapes), *reader.vias(sections["ROUTES"]), *reader.test_pins(sections["TESTPINS"])]
     notes += contours.notes
     if unknown:
         text = "{count} components are not placed; they were left out: {names}."
         notes.append(noted("parts-not-placed", text, count=len(unknown), names=", ".join(sorted(unknown)[:8])))
-    return Design(name, "gencad", tuple(parts), contours.outline, contours.others, notes=tuple(notes))
+    vias = sum(point.kind == "via" for point in points)
+    if vias and not reader.states_mask:
+        text = "the file does not state which of its {count} vias solder mask covers; all count as test points."
+        notes.append(noted("vias-mask-unknown", text, count=vias))
+    known = {"net_points": numbered(points), "notes": tuple(notes)}
+    return Design(name, "gencad", tuple(parts), contours.outline, contours.others, **known)
 
 
 def _sections(text: str, path: Path) -> dict[str, list[_Line]]:
@@ -130,6 +152,9 @@ class _Reader:
     def __init__(self, path: Path, mm: float, sections: dict[str, list[_Line]]) -> None:
         self._path, self._mm = path, mm
         self._pads = self._pads_of(sections["PADS"], sections["PADSTACKS"])
+        self._layers = self._layers_of(sections["PADSTACKS"])
+        self.states_mask = any("SOLDERMASK" in layer for layers in self._layers.values() for layer in layers)
+        """Whether pad stacks state where solder mask is open."""
         self._shapes = self._shapes_of(sections["SHAPES"])
         self._signals = _Signals(sections["SIGNALS"], sections["ROUTES"], mm)
 
@@ -185,6 +210,60 @@ class _Reader:
             elif line.word(0) == "PAD" and line.word(1) in boxes:
                 found.setdefault(name, boxes[line.word(1)])
         return found
+
+    @staticmethod
+    def _layers_of(stacks: list[_Line]) -> dict[str, set[str]]:
+        found: dict[str, set[str]] = {}
+        layers = set[str]()
+        for line in stacks:
+            if line.word(0) == "PADSTACK":
+                layers = found.setdefault(line.word(1), set())
+            elif line.word(0) == "PAD":
+                layers.add(line.word(2).upper())
+        return found
+
+    def pads(self, drawn: Sequence[DrawnPart], shapes: Sequence[str]) -> Iterator[NetPoint]:
+        """Yield the pads of the parts where the rules of their sides place them."""
+        rules = rules_of(drawn, _usual_rule)
+        for of, name in zip(drawn, shapes, strict=True):
+            part, side = of.part, of.part.side
+            at = rules[side, of.word].place(part)
+            for pin in self._shapes.get(name, _Shape()).pins:
+                copper = {"TOP", "BOTTOM"} & self._layers.get(pin.stack, {"TOP"})
+                if not copper:
+                    continue
+                through = len(copper) > 1
+                # The stack of a part on the bottom may be that of its own side, or of the board.
+                below = side == "bottom" or copper == {"BOTTOM"}
+                box, net = self._pads.get(pin.stack), self._signals.name(part.ref, pin.name)
+                kind: PointKind = "pin" if through else "pad"
+                sides = through or not below, through or below
+                yield NetPoint(part.ref, pin.name, net, at.apply(pin.at), *sides, kind, box and min(box.size))
+
+    def vias(self, routes: list[_Line]) -> Iterator[NetPoint]:
+        """Yield vias and test pads. Files that state no mask do not say which vias it covers: then none is."""
+        net = ""
+        for line in routes:
+            if line.word(0) == "ROUTE":
+                net = line.word(1)
+            elif line.word(0) in ("VIA", "TESTPAD") and (at := _points(line.words[2:4], self._mm)):
+                layers, box = self._layers.get(line.word(1), {"TOP", "BOTTOM"}), self._pads.get(line.word(1))
+                is_via = line.word(0) == "VIA"
+                top, bottom = (
+                    side in layers and not (is_via and self.states_mask and f"SOLDERMASK_{side}" not in layers)
+                    for side in ("TOP", "BOTTOM")
+                )
+                kind: PointKind = "via" if is_via else "pad"
+                name = "" if is_via else line.word(6)
+                yield NetPoint("", "", net, at[0], top, bottom, kind, box and min(box.size), name)
+
+    def test_pins(self, lines: list[_Line]) -> Iterator[NetPoint]:
+        """Yield the test pins that have a place, by their names."""
+        for line in lines:
+            at = _points(line.words[2:4], self._mm) if line.word(0) == "TESTPIN" else []
+            if at and number_of(line.word(2)) != _NOWHERE:
+                below = line.words[-1].upper() == "BOTTOM"
+                yield NetPoint("", "", line.word(4), at[0], not below, below, name=line.word(1))
 
     def _shapes_of(self, lines: list[_Line]) -> dict[str, _Shape]:
         found: dict[str, _Shape] = {}
@@ -260,6 +339,10 @@ class _Signals:
             elif words[0] == "VIA":
                 ends[name].update(_points(words[2:4], mm))
         self._ends = {name: np.array(sorted(points)) for name, points in ends.items() if points}
+
+    def name(self, ref: str, pin: str) -> str:
+        """Return the signal of a pin; empty if it has none."""
+        return self._of_pin.get((ref, pin), "")
 
     def ends(self, ref: str, pin: str, origin: XY, distance: float) -> tuple[XY, ...]:
         """Return the ends on which a pin may lie: those of its signal at its distance from the origin of its part."""

@@ -15,7 +15,21 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from vaoi_station.board_data.contours import arc_points, circle_points
-from vaoi_station.board_data.design import XY, Box, Design, Mark, MarkKind, Part, Placement, Side, box_around, noted
+from vaoi_station.board_data.design import (
+    XY,
+    Box,
+    Design,
+    Mark,
+    MarkKind,
+    NetPoint,
+    Part,
+    Placement,
+    PointKind,
+    Side,
+    box_around,
+    noted,
+)
+from vaoi_station.board_data.net_points import Openings, numbered, unmasked
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.board_data.panels.step_and_repeat import stated_count
 from vaoi_station.board_data.pin_rules import DrawnPart, Pin, Rule, placed_parts
@@ -29,6 +43,7 @@ _MARK_KINDS: dict[str, MarkKind] = {
     "GoodPanelMark": "panel",
     "BadBoardMark": "bad-board",
 }
+_COPPER = ("CONDUCTOR", "SIGNAL", "PLANE", "MIXED", "CONDFILM", "CONDFOIL")
 _UNITS = {"MILLIMETER": 1.0, "MICRON": 0.001, "INCH": 25.4}
 
 
@@ -95,9 +110,12 @@ class _Reader:
     def __init__(self, path: Path, root: Element, mm: float) -> None:
         self._path, self._mm = path, mm
         sides: dict[str, Side] = {"TOP": "top", "BOTTOM": "bottom"}
-        layers = ((layer.get("name", ""), layer.get("side", "").upper()) for layer in root.iter("Layer"))
+        layers = [(layer.get("name", ""), layer.get("side", "").upper()) for layer in root.iter("Layer")]
         self._sides = {name: sides[side] for name, side in layers if side in sides}
         """Side of each outer layer."""
+        self._functions = {e.get("name", ""): e.get("layerFunction", "").upper() for e in root.iter("Layer")}
+        self._sizes: dict[str, float | None] = {}
+        """Smallest extents of pads by the primitive that they name."""
         self._primitives = {e.get("id", ""): e for tag in ("EntryStandard", "EntryUser") for e in root.iter(tag)}
         self._boms = [element for element in root.iter("Bom") if next(element.iter("RefDes"), None) is not None]
         chosen = [element.get("name", "") for content in root.iter("Content") for element in content.iter("BomRef")]
@@ -154,6 +172,8 @@ class _Reader:
             tuple(outline),
             tuple(map(tuple, cut_outs)),
             marks=tuple(self._marks(step)),
+            # Pins of another datum than the parts would lie beside the board.
+            net_points=() if any(n.code == "pins-of-other-datum" for n in notes) else numbered(self._net_points(step)),
             notes=tuple(notes),
         )
 
@@ -282,6 +302,54 @@ class _Reader:
                         of = {_plain(pin.get("componentRef", "")) for pin in mark.iter("PinRef")} - {""}
                         yield Mark(f"{tag}{n}", side, self._xy(location), size, kind, components=tuple(sorted(of)))
 
+    def _net_points(self, step: Element) -> Iterator[NetPoint]:
+        """Return the pads of parts, and the vias, on the outer conductors."""
+        holes = (hole for hole in step.iter("Hole") if hole.get("platingStatus") == "VIA")
+        drilled = Openings(at for hole in holes if (at := self._sound_xy(hole)) is not None)
+        masks: dict[Side, list[XY]] = {}
+        found: dict[tuple[str, str, XY], NetPoint] = {}
+        for layer in step.findall("LayerFeature"):
+            name = layer.get("layerRef", "")
+            if (side := self._sides.get(name)) is None or self._functions[name] not in (*_COPPER, "SOLDERMASK"):
+                continue
+            for of in layer.findall("Set"):
+                of_via, net = of.get("padUsage") == "VIA", _bare(of.get("net", ""))
+                for pad in of.iter("Pad"):
+                    location = pad.find("Location")
+                    if location is None or (at := self._sound_xy(location)) is None:
+                        continue
+                    if self._functions[name] == "SOLDERMASK":
+                        masks.setdefault(side, []).append(at)
+                        continue
+                    pin = pad.find("PinRef")
+                    ref, number = (
+                        ("", "") if pin is None else map(_bare, (pin.get("componentRef", ""), pin.get("pin", "")))
+                    )
+                    if pin is None and not of_via and at not in drilled:
+                        continue
+                    key = ref, number, (round(at[0], 3), round(at[1], 3))
+                    known = found.get(key) or NetPoint(ref, number, net, at, False, False, "pad" if ref else "via")
+                    kind: PointKind = "pin" if ref and (known.on_top or known.on_bottom) else known.kind
+                    size = known.diameter or self._smallest(pad)
+                    found[key] = known._replace(kind=kind, diameter=size, **{f"on_{side}": True})
+        return unmasked([*found.values()], {side: Openings(places) for side, places in masks.items()})
+
+    def _smallest(self, pad: Element) -> float | None:
+        """Return the smallest extent of a pad, mm; None if it is not stated."""
+        key = next((shape.get("id", "") for shape in pad if shape.tag.endswith("PrimitiveRef")), "")
+        if key not in self._sizes:
+            try:
+                box = box_around(p for shape in pad for p in self._points(shape))
+            except InputError:
+                box = None
+            self._sizes[key] = min(box.size) if box else None
+        return self._sizes[key]
+
+    def _sound_xy(self, element: Element) -> XY | None:
+        """Return a place; None if it is not stated: pads and vias refuse no file."""
+        x, y = number_of(element.get("x")), number_of(element.get("y"))
+        return None if x is None or y is None else (x * self._mm, y * self._mm)
+
     def _xy(self, element: Element, x: str = "x", y: str = "y") -> XY:
         return self._number(element, x) * self._mm, self._number(element, y) * self._mm
 
@@ -295,6 +363,11 @@ class _Reader:
 
 def _is_mirrored(element: Element | None) -> bool:
     return element is not None and element.get("mirror", "false").lower() in ("true", "1")
+
+
+def _bare(name: str) -> str:
+    """Return the name of a part, pin or net without the prefix of its kind."""
+    return name.partition(":")[2] if name.partition(":")[0] in ("CMP", "PIN", "NET") else name
 
 
 def _local(name: str | None) -> str:

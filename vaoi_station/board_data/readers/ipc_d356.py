@@ -2,23 +2,24 @@
 
 A record has fixed columns up to the pin; letters say what follows. Coordinates are as seen from the top, in
 0.0001 inch (`CUST 0` and `2`) or 0.001 mm (`CUST 1`). The access is 0 for both sides, 1 for the top, otherwise a layer,
-of which the highest is the bottom. `S` states the sides that solder mask covers: 1 top, 2 bottom, 3 both.
-Source: IPC-D-356A; the exporters of KiCad and pcb-rnd.
+of which the highest is the bottom. `S` states the sides that solder mask covers: 1 top, 2 bottom, 3 both. Allegro
+states the sides that it leaves open; then most surface pads seem to be covered on their own side.
+Source: IPC-D-356A; the exporters of KiCad, pcb-rnd and Allegro.
 """
 
 from __future__ import annotations
 
 import re
-from collections import Counter
 from pathlib import Path
 
-from vaoi_station.board_data.design import NetPoint
+from vaoi_station.board_data.design import NetPoint, PointKind
+from vaoi_station.board_data.net_points import numbered
 from vaoi_station.board_data.source_text import decode
 from vaoi_station.errors import InputError
 
 _BEGIN = re.compile(rb"(C  [^\n]*\n)*P  (JOB|UNITS|CODE|TITLE)\b")
 _MM_PER_STEP = {"0": 0.00254, "1": 0.001, "2": 0.00254}
-_FEATURE = re.compile(r"A(\d\d)X([+-]?\d{1,7})Y([+-]?\d{1,7})")
+_FEATURE = re.compile(r"A(\d\d)X([+-]?\d{1,7})Y([+-]?\d{1,7})(?:X(\d{1,4})(?:Y(\d{1,4}))?)?")
 _MASK = re.compile(r"S([0-3])\s*$")
 _PROBED = frozenset(("317", "327", "307"))
 """Through holes, surface pads, blind and buried vias; others are tooling holes, outlines, conductors."""
@@ -31,7 +32,7 @@ def is_ipc_d356(head: bytes) -> bool:
 
 def read_ipc_d356(data: bytes, path: Path) -> tuple[NetPoint, ...]:
     """Read the points that are reachable on a side."""
-    unit, names, found = "", dict[str, str](), list[tuple[str, str, str, tuple[float, float], int, int]]()
+    unit, names, found = "", dict[str, str](), list[tuple[NetPoint, int, int | None]]()
     for number, line in enumerate(decode(data, path).splitlines(), 1):
         words = line.split()
         if line.startswith("P") and words[1:2] == ["UNITS"]:
@@ -43,18 +44,23 @@ def read_ipc_d356(data: bytes, path: Path) -> tuple[NetPoint, ...]:
             names[words[1]] = words[2]
         elif line[:3] in _PROBED and (feature := _FEATURE.search(line, 31)) is not None:
             net, mask, mm = line[3:17].strip(), _MASK.search(line), _MM_PER_STEP[unit or "0"]
-            at = int(feature[2]) * mm, int(feature[3]) * mm
-            covered = 0 if mask is None else int(mask[1])
-            found.append((names.get(net, net), line[20:26].strip(), line[27:31].strip(), at, int(feature[1]), covered))
-    bottom = max((access for *_, access, _ in found), default=0)
-    counts, out = Counter[str](), []
-    for net, ref, pin, at, access, covered in found:
-        on_top, below = access in (0, 1) and not covered & 1, access in (0, bottom) and access != 1 and not covered & 2
-        name = f"{ref}-{pin}" if pin else f"{ref or 'point'} {net}"
-        counts[name] += 1
-        if on_top or below:
-            number_of = f"#{counts[name]}" if counts[name] > 1 else ""
-            out.append(NetPoint(name + number_of, "" if ref == "VIA" else ref, net, at, on_top, below))
+            ref, pin, at = line[20:26].strip(), line[27:31].strip(), (int(feature[2]) * mm, int(feature[3]) * mm)
+            sizes = [int(size) * mm for size in feature.groups()[3:] if size and int(size)]
+            kind: PointKind = "via" if ref == "VIA" else "pin" if line[:3] == "317" else "pad"
+            # A point without part and pin is no via in all programs.
+            own = "" if ref or pin else f"point {names.get(net, net)}"
+            ref = "" if ref == "VIA" else ref
+            point = NetPoint(ref, pin, names.get(net, net), at, False, False, kind, min(sizes, default=None), own)
+            found.append((point, int(feature[1]), None if mask is None else int(mask[1])))
+    bottom = max((access for _, access, _ in found), default=0)
+    own = [(mask or 0) & (1 if access == 1 else 2) for p, access, mask in found if p.kind == "pad" and mask is not None]
+    states_open = 2 * sum(map(bool, own)) > len(own)
+    points = []
+    for point, access, mask in found:
+        covered = 0 if mask is None else 3 - mask if states_open else mask
+        top, below = access in (0, 1) and not covered & 1, access in (0, bottom) and access != 1 and not covered & 2
+        points.append(point._replace(on_top=top, on_bottom=below))
+    out = numbered(points)
     if not out:
         raise InputError(f"{path}: has no point that a probe can reach.", action="Export the netlist with its pads.")
-    return tuple(out)
+    return out

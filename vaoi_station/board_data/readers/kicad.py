@@ -20,8 +20,10 @@ from vaoi_station.board_data.design import (
     Design,
     Mark,
     MarkKind,
+    NetPoint,
     Part,
     Placement,
+    PointKind,
     Side,
     body_of,
     box_around,
@@ -30,6 +32,7 @@ from vaoi_station.board_data.design import (
     rotated,
 )
 from vaoi_station.board_data.marks import kind_by_name
+from vaoi_station.board_data.net_points import numbered
 from vaoi_station.board_data.readers.sexpr import Node, every, first, numbers, parse_sexpr, text_of
 from vaoi_station.board_data.readers.table_words import is_fitted
 from vaoi_station.board_data.source_text import decode
@@ -80,6 +83,7 @@ def _design(root: Node, path: Path) -> Design:
         cut_outs=contours.others,
         islands=contours.islands,
         marks=tuple(mark for footprint, part in placed for mark in footprint.marks(part)),
+        net_points=numbered([*(p for footprint in footprints for p in footprint.net_points()), *_vias(root)]),
         notes=(*notes, *contours.notes),
     )
 
@@ -150,6 +154,19 @@ class _Footprint:
             kind = self.marked[0][1] if self.marked else kind_by_name(self.ref, str(self.node[1]))
             yield Mark(self.ref or "FID", self.side, self.at.shift, self.diameter, kind, "package")
 
+    def net_points(self) -> Iterator[NetPoint]:
+        """Yield the pads with copper on an outer layer."""
+        for pad in self.pads if self.has_place else ():
+            where, size, layers = _sound(pad, "at"), _sound(pad, "size"), first(pad, "layers")[1:]
+            words = [str(word) for word in pad[1:3]]
+            sides = tuple(_has(layers, s, "Cu") and _has(layers, s, "Mask") for s in "FB")
+            copper = any(_has(layers, s, "Cu") for s in "FB")
+            if not copper or len(where) < 2 or len(words) < 2 or words[1] == "np_thru_hole":
+                continue
+            kind: PointKind = "pin" if words[1] == "thru_hole" else "pad"
+            at, diameter = self.at.apply((where[0], -where[1])), min(size, default=0.0)
+            yield NetPoint(self.ref, words[0], _net(pad, {}), at, *sides, kind, diameter if diameter > 0 else None)
+
     def edges(self) -> Iterator[list[XY]]:
         """Yield the pieces of an outline of its own."""
         for piece in _drawing(self.node, "fp_", "Edge.Cuts") if self.has_place else ():
@@ -179,6 +196,50 @@ class _Footprint:
             return []
         turn = (at[2] if len(at) > 2 else 0.0) - self.turn
         return Box.of_size(size[0], size[1]).corners(Placement(False, turn, (at[0], -at[1])))
+
+
+def _sound(node: Node, name: str) -> list[float]:
+    """Return the numbers of a list; none if one is no number that is possible: pads and vias refuse no file."""
+    try:
+        return numbers(node, name)
+    except InputError:
+        return []
+
+
+def _has(layers: Node, side: str, kind: str) -> bool:
+    return any(f"{at}.{kind}" in layers for at in (side, "*", "F&B"))
+
+
+def _net(node: Node, names: dict[str, str]) -> str:
+    """Return the name of a net: `(net 3 "GND")` of pads, `(net 3)` of vias; since version 10 `(net "GND")`."""
+    words = [str(word) for word in first(node, "net")[1:]]
+    return "" if not words else words[-1] if len(words) > 1 else names.get(words[0], words[0])
+
+
+def _vias(root: Node) -> Iterator[NetPoint]:
+    """Yield the vias. Unless the file states that mask leaves them open, it covers them."""
+    setup = first(root, "setup")
+    names = {str(node[1]): str(node[2]) for node in every(root, "net") if len(node) > 2}
+    open_by_plot = text_of(first(setup, "pcbplotparams"), "viasonmask") in ("true", "yes")
+    usual = _tented(setup, dict.fromkeys(("front", "back"), not open_by_plot))
+    for via in every(root, "via"):
+        where, size, layers = _sound(via, "at"), _sound(via, "size"), first(via, "layers")[1:]
+        if len(where) < 2:
+            continue
+        tented = _tented(via, usual)
+        sides = (_has(layers, "F", "Cu") and not tented["front"], _has(layers, "B", "Cu") and not tented["back"])
+        diameter = size[0] if size and size[0] > 0 else None
+        yield NetPoint("", "", _net(via, names), (where[0], -where[1]), *sides, "via", diameter)
+
+
+def _tented(node: Node, usual: dict[str, bool]) -> dict[str, bool]:
+    """Return the sides on which mask covers vias: `(tenting front)`, since version 10 `(tenting (front yes))`."""
+    stated = first(node, "tenting")[1:]
+    if not stated:
+        return usual
+    by_words = {word: word in stated for word in usual}
+    said = {str(n[0]): str(n[1]) for n in stated if isinstance(n, list) and len(n) > 1}
+    return by_words | {word: said[word] == "yes" for word in usual if said.get(word) in ("yes", "no")}
 
 
 def _is_body(drawing: Box, pads: Box | None) -> bool:

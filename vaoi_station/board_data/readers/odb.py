@@ -20,22 +20,40 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vaoi_station.board_data.contours import arc_points, area
-from vaoi_station.board_data.design import XY, Contour, Design, Mark, Part, Side, box_around, noted, places
+from vaoi_station.board_data.design import (
+    XY,
+    Contour,
+    Design,
+    Mark,
+    NetPoint,
+    Part,
+    PointKind,
+    Side,
+    box_around,
+    noted,
+    places,
+)
+from vaoi_station.board_data.net_points import Openings, numbered, unmasked
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.pin_rules import DrawnPart, Rule, placed_parts
 from vaoi_station.board_data.readers import unix_compress
 from vaoi_station.board_data.readers.odb_files import (
     UNITS,
+    Copper,
     OdbFile,
     Package,
+    Pad,
     Toeprint,
     attributes_of,
     datum_of,
+    copper_of,
     has_repeats,
+    mask_layers,
     outer_layers,
     outline_points,
     packages_of,
     pad_marks,
+    placed_pads,
     readings,
     repeats_of,
     toeprint_of,
@@ -167,12 +185,14 @@ class _Job:
     def design(self, name: str) -> Design:
         """Return a step without what it repeats. Its header is not read: a wrong value there changes no board."""
         folder = f"steps/{name}"
-        packages = packages_of(self._file(f"{folder}/eda/data"))
+        eda = self._file(f"{folder}/eda/data")
+        packages = packages_of(eda)
         drawn: list[DrawnPart] = []
+        pins: dict[tuple[Side, int, int], tuple[str, Toeprint]] = {}
         unreadable: list[str] = []
         for side, layer in _LAYERS:
             if (file := self._file(f"{folder}/layers/{layer}/components")) is not None:
-                more, faults = self._components(file, side, packages)
+                more, faults = self._components(file, side, packages, pins)
                 drawn += more
                 unreadable += faults
         parts, notes = placed_parts(drawn, self._usual_rule)
@@ -180,18 +200,36 @@ class _Job:
             text = "{count} toeprints state no pin with a place; they were left out: {names}."
             notes.append(noted("toeprints-left-out", text, count=len(unreadable), names=", ".join(unreadable[:8])))
         marks: list[Mark] = []
-        for side, layer in outer_layers(self._lines("matrix/matrix") or []).items():
-            copper = self._file(f"{folder}/layers/{layer}/features")
-            marks += pad_marks(copper.lines, copper.mm, side) if copper is not None else ()
+        matrix = self._lines("matrix/matrix") or []
+        layers: dict[Side, tuple[str, dict[int, Pad]]] = {}
+        openings: dict[Side, Openings] = {}
+        for side, layer in outer_layers(matrix).items():
+            if (copper := self._file(f"{folder}/layers/{layer}/features")) is not None:
+                marks += pad_marks(copper.lines, copper.mm, side)
+                layers[side] = layer, placed_pads(copper)
+        for side, layer in mask_layers(matrix).items():
+            if (mask := self._file(f"{folder}/layers/{layer}/features")) is not None:
+                openings[side] = Openings(pad.at for pad in placed_pads(mask).values())
+        # Pins of another datum than the parts would lie beside the board.
+        moved = any(note.code == "pins-of-other-datum" for note in notes)
+        net_points = () if moved else numbered(unmasked([*_net_points(copper_of(eda), pins, layers)], openings))
         profile = self._file(f"{folder}/profile")
         outline, cut_outs = _board(list(_contours(profile)) if profile else [], [part.origin for part in parts], notes)
-        return Design(name, "odb", tuple(parts), outline, cut_outs, marks=tuple(marks), notes=tuple(notes))
+        known = {"marks": tuple(marks), "net_points": net_points, "notes": tuple(notes)}
+        return Design(name, "odb", tuple(parts), outline, cut_outs, **known)
 
     def _usual_rule(self, side: Side, _word: str) -> Rule:
         """Return the rule of the specification, or of KiCad."""
         return Rule(mirrored=False, sign=-1) if side == "top" or self._by_kicad else Rule(mirrored=True, sign=1)
 
-    def _components(self, file: OdbFile, side: Side, packages: list[Package]) -> tuple[list[DrawnPart], list[str]]:
+    def _components(
+        self,
+        file: OdbFile,
+        side: Side,
+        packages: list[Package],
+        known: dict[tuple[Side, int, int], tuple[str, Toeprint]],
+    ) -> tuple[list[DrawnPart], list[str]]:
+        """Return the parts of a side and the toeprints that cannot be read; add the others to `known`."""
         names: dict[str, str] = {}
         found: list[tuple[DrawnPart, Package, list[Toeprint]]] = []
         unreadable: list[str] = []
@@ -201,6 +239,7 @@ class _Job:
             elif line.startswith("TOP ") and found:
                 if (toeprint := toeprint_of(line, file.mm)) is not None:
                     found[-1][2].append(toeprint)
+                    known[side, len(found) - 1, toeprint.number] = found[-1][0].part.ref, toeprint
                 else:
                     unreadable.append(f"{found[-1][0].part.ref} (line {number})")
             elif line.startswith("CMP "):
@@ -237,6 +276,26 @@ class _Job:
             line=number,
         )
         return DrawnPart(part, word=words[5], pads=box_around(package.pads)), package
+
+
+def _net_points(
+    copper: Sequence[Copper],
+    pins: dict[tuple[Side, int, int], tuple[str, Toeprint]],
+    layers: dict[Side, tuple[str, dict[int, Pad]]],
+) -> Iterator[NetPoint]:
+    """Yield the pads and vias of the nets on the outer layers."""
+    for net, key, features in copper:
+        on = {side: pads.get(features[name]) for side, (name, pads) in layers.items() if name in features}
+        pad = next((pad for pad in on.values() if pad is not None), None)
+        if not on or (pad is None if key is None else key not in pins):
+            continue
+        ref, pin, at = "", "", (0.0, 0.0) if pad is None else pad.at
+        if key is not None:
+            ref, toeprint = pins[key]
+            # The copper decides: KiCad mirrors the toeprints of pads that are drawn as surfaces.
+            pin, at = toeprint.name or str(toeprint.number + 1), toeprint.at if pad is None else pad.at
+        kind: PointKind = "via" if key is None else "pin" if len(on) > 1 else "pad"
+        yield NetPoint(ref, pin, net, at, "top" in on, "bottom" in on, kind, pad and pad.diameter)
 
 
 class _Contour(NamedTuple):

@@ -22,8 +22,12 @@ _LEAST_COURTYARD_MM = 0.05
 _USAGES: dict[str, MarkKind] = {"2": "global", "g_fiducial": "global", "3": "local", "l_fiducial": "local"}
 """Values of `.pad_usage` that mark fiducials; files state the number of the option."""
 _COPPER = ("SIGNAL", "POWER_GROUND", "MIXED")
-_SYMBOL = re.compile(r"(?:r|s|di|rect|oval|oct|hex_[ls]|donut_[a-z]+)(\d+(?:\.\d+)?)(?=$|x)", re.IGNORECASE)
+_SYMBOL = re.compile(
+    r"(?:r|s|di|rect|oval|oct|hex_[ls]|donut_[a-z]+)(\d+(?:\.\d+)?)(?:$|x(\d+(?:\.\d+)?)?)", re.IGNORECASE
+)
 """Standard symbols, whose name states their size; `fid_100` of a design may have any."""
+_FEATURES = frozenset("LATB")
+"""First words of features other than pads and surfaces."""
 MOST_MARKS = 1_000
 _BLOCK = re.compile(r"\s*STEP-REPEAT\s*\{?\s*$", re.IGNORECASE)
 MOST_BLOCKS = 10_000
@@ -165,6 +169,20 @@ def outline_points(file: OdbFile, number: int, words: list[str]) -> list[XY]:
 
 def outer_layers(matrix: Sequence[str]) -> dict[Side, str]:
     """Return the names of the outer copper layers, in lower case, from the lines of `matrix/matrix`."""
+    found = _rows(matrix, _COPPER)
+    outer: dict[Side, str] = {"top": found[0][1]} if found else {}
+    return outer | {"bottom": found[-1][1]} if len(found) > 1 else outer
+
+
+def mask_layers(matrix: Sequence[str]) -> dict[Side, str]:
+    """Return the names of the layers of solder mask: above and below all copper."""
+    masks, copper = _rows(matrix, ("SOLDER_MASK",)), _rows(matrix, _COPPER)
+    above: dict[Side, str] = {"top": name for row, name in masks if copper and row < copper[0][0]}
+    return above | {"bottom": name for row, name in masks if copper and row > copper[-1][0]}
+
+
+def _rows(matrix: Sequence[str], types: Sequence[str]) -> list[tuple[float, str]]:
+    """Return the rows and names of the layers of some types, from the top on."""
     found: list[tuple[float, str]] = []
     entry: dict[str, str] = {}
     for line in map(str.strip, matrix):
@@ -173,12 +191,86 @@ def outer_layers(matrix: Sequence[str]) -> dict[Side, str]:
             entry = {}
         elif equals:
             entry[key] = value
-        elif line == "}" and entry.get("TYPE", "").upper() in _COPPER:
+        elif line == "}" and entry.get("TYPE", "").upper() in types:
             if (row := number_of(entry.get("ROW"))) is not None:
                 found.append((row, entry.get("NAME", "").lower()))
             entry = {}
-    outer: dict[Side, str] = {"top": min(found)[1]} if found else {}
-    return outer | {"bottom": max(found)[1]} if len(found) > 1 else outer
+    return sorted(found)
+
+
+# Nets (`eda/data`), and the pads of their toeprints and vias by the numbers of features.
+
+
+class Copper(NamedTuple):
+    """A pad or via of a net."""
+
+    net: str
+    toeprint: tuple[Side, int, int] | None
+    """Side, number of the component, and number of its toeprint; None for a via."""
+    features: dict[str, int]
+    """Number of its feature by the name of the layer."""
+
+
+def copper_of(file: OdbFile | None) -> list[Copper]:
+    """Return the pads and vias of all nets."""
+    found, layers, net, features = list[Copper](), list[str](), "", dict[str, int]()
+    for line in file.lines if file else ():
+        words = line.partition(";")[0].split() or [""]
+        if words[0] == "LYR":
+            layers = [word.lower() for word in words[1:]]
+        elif words[0] == "NET":
+            net = "" if words[1:2] in ([], ["$NONE$"]) else words[1]
+        elif words[0] == "SNT":
+            features = {}
+            if words[1:2] == ["VIA"]:
+                found.append(Copper(net, None, features))
+            elif words[1:2] == ["TOP"] and len(words) > 4 and words[3].isdigit() and words[4].isdigit():
+                side: Side = "bottom" if words[2] == "B" else "top"
+                found.append(Copper(net, (side, int(words[3]), int(words[4])), features))
+        elif words[:2] == ["FID", "C"] and len(words) > 3 and words[2].isdigit() and words[3].isdigit():
+            if int(words[2]) < len(layers):
+                features.setdefault(layers[int(words[2])], int(words[3]))
+    return found
+
+
+class Pad(NamedTuple):
+    """A pad of a layer: its middle, and its smallest extent if that is known, mm."""
+
+    at: XY
+    diameter: float | None
+
+
+def placed_pads(file: OdbFile) -> dict[int, Pad]:
+    """Return the pads of a layer by the numbers of their features; pads of any shape are drawn as surfaces."""
+    sizes, found, number, corners = dict[str, float](), dict[int, Pad](), 0, list[XY]()
+    for line in file.lines:
+        words = line.lstrip("$").partition(";")[0].split() or [""]
+        if line.startswith("$"):
+            if len(words) > 1 and (size := _symbol_mm(words, file.mm)) is not None:
+                sizes[words[0]] = min(size)
+        elif words[0] in ("P", "OB", "OS", "OC"):
+            x, y = (number_of(word) for word in words[1:3]) if len(words) > 2 else (None, None)
+            if x is None or y is None:
+                number += words[0] == "P"
+            elif words[0] == "P":
+                found[number] = Pad((x * file.mm, y * file.mm), sizes.get(words[3]) if len(words) > 3 else None)
+                number += 1
+            else:
+                corners.append((x * file.mm, y * file.mm))
+        elif words[0] == "SE":
+            if (box := box_around(corners)) is not None:
+                found[number] = Pad(box.center, min(box.size))
+            number, corners = number + 1, []
+        elif words[0] in _FEATURES:
+            number += 1
+    return found
+
+
+def _symbol_mm(words: Sequence[str], mm: float) -> tuple[float, ...] | None:
+    """Return the size, or width and height, that the name of a standard symbol states, mm."""
+    size = _SYMBOL.match(words[1])
+    unit = {"I": 25.4, "M": 1.0}.get(words[2] if len(words) > 2 else "", mm)
+    return tuple(float(s) * unit / 1000 for s in size.groups() if s and float(s) > 0) or None if size else None
 
 
 def pad_marks(lines: Sequence[str], mm: float, side: Side) -> Iterator[Mark]:
@@ -190,10 +282,8 @@ def pad_marks(lines: Sequence[str], mm: float, side: Side) -> Iterator[Mark]:
     for line in lines:
         words = line.lstrip("$").partition(";")[0].split()
         if line.startswith("$"):
-            size = _SYMBOL.match(words[1]) if len(words) > 1 else None
-            if size:
-                unit = {"I": 25.4, "M": 1.0}.get(words[2] if len(words) > 2 else "", mm)
-                symbols[words[0]] = float(size[1]) * unit / 1000
+            if len(words) > 1 and (size := _symbol_mm(words, mm)) is not None:
+                symbols[words[0]] = size[0]
         elif match := re.match(r"([@&])(\d+)\s+(.*)", line):
             (names if match[1] == "@" else texts)[match[2]] = match[3].strip()
         elif line.startswith("P ") and ";" in line and count < MOST_MARKS and len(words) > 3:

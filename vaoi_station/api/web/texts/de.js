@@ -1242,6 +1242,8 @@ const remarks = {
   "mark-diameters-assumed": ({ names, diameter_mm }) => `Die Datei nennt keinen Durchmesser von ${more(names)}; ${diameter_mm} mm wird angenommen.`,
   "marks-found": ({ count, kind, by, names }) => `${count} ${KINDS[kind]}, ${BY[by]}: ${more(names)}.`,
   "net-points-added": ({ count, shift_mm, agree, all }) => `${count} Prüfpunkte aus der Netzliste hinzugefügt, verschoben um (${shift_mm}) mm: ${agree} von ${all} Bauteilen stimmen überein.`,
+  "net-points-left-out": ({ count, most }) => `${count} Prüfpunkte sind mehr als ${most}; sie wurden weggelassen.`,
+  "net-points-of-panel": ({ count }) => `Die Datei sagt nicht, welcher ihrer ${count} Prüfpunkte zu welcher Leiterplatte gehört; sie wurden weggelassen.`,
   "notches-cut-off": ({ count, at }) => `${count} Konturen kreuzen den Umriss; was sie einschließen, wurde von ihm abgeschnitten: ab ${more(at)}.`,
   "outline-absent": () => "Die Datei hat keinen Umriss; die Ausdehnung von Bauteilen und Passmarken wird genommen.",
   "outline-elsewhere": () => "Passmarken liegen außerhalb des Umrisses; er wurde weggelassen. Prüfen, ob beide zur selben Leiterplatte gehören.",
@@ -1290,6 +1292,7 @@ const remarks = {
   "unit-guessed": ({ unit }) => `Die Datei nennt keine Einheit; ${unit} wird angenommen, die einzige, bei der die Leiterplatte eine übliche Größe hat.`,
   "table-read-as": ({ columns, unit }) => `Als Tabelle gelesen, Einheit ${unit}; ${columns}. Sonst Spalten und Einheit berichtigen.`,
   "toeprints-left-out": ({ count, names }) => `${count} Toeprints nennen keinen Anschluss mit Ort; sie wurden weggelassen: ${names}.`,
+  "vias-mask-unknown": ({ count }) => `Die Datei sagt nicht, welche ihrer ${count} Vias Lötstopplack bedeckt; alle zählen als Prüfpunkte.`,
   "variant-read": ({ names, variant }) => `Die Datei hat Bestückungsvarianten (${names}); gelesen wurde ${variant ? `${variant}, die aktuelle` : "die Grundvariante"}.`,
 };
 
