@@ -70,7 +70,7 @@ def import_board_data(
     for name, value in choices.items():
         if name not in known:
             raise InputError.field(function, name, value, f"one of {', '.join(known)}")
-        expected = {"sizes": (str, Path), "test_points": bool}.get(name, str)
+        expected = bool if name == "test_points" else (str, Path) if name == "sizes" else str
         if not isinstance(value, expected):
             raise InputError.field(function, name, value, "True or False" if expected is bool else "a text")
     reply = import_limited(

@@ -15,8 +15,8 @@ from tests import needs
 from vaoi_station.board_data import read_design, to_board_type
 from vaoi_station.board_data.design import NetPoint
 from vaoi_station.board_data.panels import Grid
-from vaoi_station.board_data.reading import Options
 from vaoi_station.board_data.readers.ipc_d356 import read_ipc_d356
+from vaoi_station.board_data.reading import Options
 
 KICAD = """(kicad_pcb (version 20241229) (setup (pcbplotparams (viasonmask false))) (net 0 "") (net 1 "GND") (net 2 "3V3")
 (footprint "R" (layer "F.Cu") (at 10 -10 90) (property "Reference" "R1")

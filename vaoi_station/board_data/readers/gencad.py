@@ -103,8 +103,15 @@ def read_gencad(data: bytes, path: Path) -> Design:
     if vias and not reader.states_mask:
         text = "the file does not state which of its {count} vias solder mask covers; all count as test points."
         notes.append(noted("vias-mask-unknown", text, count=vias))
-    known = {"net_points": numbered(points), "notes": tuple(notes)}
-    return Design(name, "gencad", tuple(parts), contours.outline, contours.others, **known)
+    return Design(
+        name,
+        "gencad",
+        tuple(parts),
+        contours.outline,
+        contours.others,
+        net_points=numbered(points),
+        notes=tuple(notes),
+    )
 
 
 def _sections(text: str, path: Path) -> dict[str, list[_Line]]:
@@ -238,7 +245,7 @@ class _Reader:
                 box, net = self._pads.get(pin.stack), self._signals.name(part.ref, pin.name)
                 kind: PointKind = "pin" if through else "pad"
                 sides = through or not below, through or below
-                yield NetPoint(part.ref, pin.name, net, at.apply(pin.at), *sides, kind, box and min(box.size))
+                yield NetPoint(part.ref, pin.name, net, at.apply(pin.at), *sides, kind, min(box.size) if box else None)
 
     def vias(self, routes: list[_Line]) -> Iterator[NetPoint]:
         """Yield vias and test pads. Files that state no mask do not say which vias it covers: then none is."""
@@ -255,7 +262,7 @@ class _Reader:
                 )
                 kind: PointKind = "via" if is_via else "pad"
                 name = "" if is_via else line.word(6)
-                yield NetPoint("", "", net, at[0], top, bottom, kind, box and min(box.size), name)
+                yield NetPoint("", "", net, at[0], top, bottom, kind, min(box.size) if box else None, name)
 
     def test_pins(self, lines: list[_Line]) -> Iterator[NetPoint]:
         """Yield the test pins that have a place, by their names."""

@@ -331,7 +331,8 @@ class _Reader:
                     known = found.get(key) or NetPoint(ref, number, net, at, False, False, "pad" if ref else "via")
                     kind: PointKind = "pin" if ref and (known.on_top or known.on_bottom) else known.kind
                     size = known.diameter or self._smallest(pad)
-                    found[key] = known._replace(kind=kind, diameter=size, **{f"on_{side}": True})
+                    top, bottom = known.on_top or side == "top", known.on_bottom or side == "bottom"
+                    found[key] = known._replace(kind=kind, diameter=size, on_top=top, on_bottom=bottom)
         return unmasked([*found.values()], {side: Openings(places) for side, places in masks.items()})
 
     def _smallest(self, pad: Element) -> float | None:

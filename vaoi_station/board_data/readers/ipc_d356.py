@@ -53,11 +53,13 @@ def read_ipc_d356(data: bytes, path: Path) -> tuple[NetPoint, ...]:
             point = NetPoint(ref, pin, names.get(net, net), at, False, False, kind, min(sizes, default=None), own)
             found.append((point, int(feature[1]), None if mask is None else int(mask[1])))
     bottom = max((access for _, access, _ in found), default=0)
-    own = [(mask or 0) & (1 if access == 1 else 2) for p, access, mask in found if p.kind == "pad" and mask is not None]
-    states_open = 2 * sum(map(bool, own)) > len(own)
+    hidden = [
+        sides & (1 if access == 1 else 2) for point, access, sides in found if point.kind == "pad" and sides is not None
+    ]
+    states_open = 2 * sum(map(bool, hidden)) > len(hidden)
     points = []
-    for point, access, mask in found:
-        covered = 0 if mask is None else 3 - mask if states_open else mask
+    for point, access, sides in found:
+        covered = 0 if sides is None else 3 - sides if states_open else sides
         top, below = access in (0, 1) and not covered & 1, access in (0, bottom) and access != 1 and not covered & 2
         points.append(point._replace(on_top=top, on_bottom=below))
     out = numbered(points)

@@ -159,13 +159,13 @@ class _Footprint:
         for pad in self.pads if self.has_place else ():
             where, size, layers = _sound(pad, "at"), _sound(pad, "size"), first(pad, "layers")[1:]
             words = [str(word) for word in pad[1:3]]
-            sides = tuple(_has(layers, s, "Cu") and _has(layers, s, "Mask") for s in "FB")
             copper = any(_has(layers, s, "Cu") for s in "FB")
+            top, bottom = (_has(layers, s, "Cu") and _has(layers, s, "Mask") for s in "FB")
             if not copper or len(where) < 2 or len(words) < 2 or words[1] == "np_thru_hole":
                 continue
             kind: PointKind = "pin" if words[1] == "thru_hole" else "pad"
             at, diameter = self.at.apply((where[0], -where[1])), min(size, default=0.0)
-            yield NetPoint(self.ref, words[0], _net(pad, {}), at, *sides, kind, diameter if diameter > 0 else None)
+            yield NetPoint(self.ref, words[0], _net(pad, {}), at, top, bottom, kind, diameter if diameter > 0 else None)
 
     def edges(self) -> Iterator[list[XY]]:
         """Yield the pieces of an outline of its own."""

@@ -45,8 +45,8 @@ from vaoi_station.board_data.readers.odb_files import (
     Pad,
     Toeprint,
     attributes_of,
-    datum_of,
     copper_of,
+    datum_of,
     has_repeats,
     mask_layers,
     outer_layers,
@@ -215,8 +215,9 @@ class _Job:
         net_points = () if moved else numbered(unmasked([*_net_points(copper_of(eda), pins, layers)], openings))
         profile = self._file(f"{folder}/profile")
         outline, cut_outs = _board(list(_contours(profile)) if profile else [], [part.origin for part in parts], notes)
-        known = {"marks": tuple(marks), "net_points": net_points, "notes": tuple(notes)}
-        return Design(name, "odb", tuple(parts), outline, cut_outs, **known)
+        return Design(
+            name, "odb", tuple(parts), outline, cut_outs, marks=tuple(marks), net_points=net_points, notes=tuple(notes)
+        )
 
     def _usual_rule(self, side: Side, _word: str) -> Rule:
         """Return the rule of the specification, or of KiCad."""

@@ -177,8 +177,10 @@ def outer_layers(matrix: Sequence[str]) -> dict[Side, str]:
 def mask_layers(matrix: Sequence[str]) -> dict[Side, str]:
     """Return the names of the layers of solder mask: above and below all copper."""
     masks, copper = _rows(matrix, ("SOLDER_MASK",)), _rows(matrix, _COPPER)
-    above: dict[Side, str] = {"top": name for row, name in masks if copper and row < copper[0][0]}
-    return above | {"bottom": name for row, name in masks if copper and row > copper[-1][0]}
+    found: dict[Side, str] = {}
+    for row, name in masks if copper else ():
+        found["top" if row < copper[0][0] else "bottom"] = name
+    return found
 
 
 def _rows(matrix: Sequence[str], types: Sequence[str]) -> list[tuple[float, str]]:
@@ -224,12 +226,11 @@ def copper_of(file: OdbFile | None) -> list[Copper]:
             features = {}
             if words[1:2] == ["VIA"]:
                 found.append(Copper(net, None, features))
-            elif words[1:2] == ["TOP"] and len(words) > 4 and words[3].isdigit() and words[4].isdigit():
+            elif words[1:2] == ["TOP"] and len(words) > 4 and words[3].isdecimal() and words[4].isdecimal():
                 side: Side = "bottom" if words[2] == "B" else "top"
                 found.append(Copper(net, (side, int(words[3]), int(words[4])), features))
-        elif words[:2] == ["FID", "C"] and len(words) > 3 and words[2].isdigit() and words[3].isdigit():
-            if int(words[2]) < len(layers):
-                features.setdefault(layers[int(words[2])], int(words[3]))
+        elif words[:2] == ["FID", "C"] and len(words) > 3 and words[2].isdecimal() and words[3].isdecimal():
+            features.setdefault("".join(layers[int(words[2]) :][:1]), int(words[3]))
     return found
 
 
