@@ -41,17 +41,16 @@ def test_the_guide_leads_from_cad_files_to_pictures(tmp_path: Path) -> None:
         client = Client(service.address)
         wait_until_idle(client)
         client.post("/station/arm", board_type=twin.board_type.name)
-        for commands in fetch:
-            done = subprocess.run(
-                ["sh", "-eu", "-c", commands],
-                cwd=tmp_path,
-                env=os.environ | {"VAOI_STATION": service.address},
-                capture_output=True,
-                text=True,
-                timeout=200,
-                check=False,
-            )
-            assert done.returncode == 0, done.stderr
+        done = subprocess.run(
+            ["sh", "-eu", "-c", "".join(fetch)],
+            cwd=tmp_path,
+            env=os.environ | {"VAOI_STATION": service.address},
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
         ended = [run for run in client.get("/runs")["runs"] if run.get("verdict")]
     assert {run["board_type"] for run in ended} == {twin.board_type.name, "from-odb"}
     assert {run["verdict"] for run in ended} == {"ok"}, ended

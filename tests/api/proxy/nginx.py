@@ -30,10 +30,17 @@ http {{
 """
 
 
-def documented(document: str) -> list[str]:
-    """Return the blocks of settings that a document has."""
+def documented(document: str) -> tuple[str, str]:
+    """Return the two settings that a document has: the whole one, and it with the lines of the second one."""
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
-    return re.findall(r"^```(?:nginx)?\n(location .*?^\})\n```$", text, re.DOTALL | re.MULTILINE)
+    whole, replaced = re.findall(r"^```nginx\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    other = whole
+    for line in replaced.splitlines():
+        start = re.match(r" *proxy_\S+ (?:X-\S+)?", line)
+        assert start is not None
+        other, count = re.subn(rf"^{start[0]}.*$", line, other, flags=re.MULTILINE)
+        assert count == 1, line
+    return whole, other
 
 
 def free_port() -> int:

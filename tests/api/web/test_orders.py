@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,18 @@ from vaoi_station.model import Reason, Status
 from vaoi_station.runs.states.tables import StationState
 
 GUIDE = Path(__file__).parents[3] / "docs" / "operator.md"
+ROWS = [[cell.strip() for cell in line.split("|")[1:-1]] for line in GUIDE.read_text(encoding="utf-8").splitlines()]
 STATES = [
-    tuple(cell.strip(" `") for cell in line.strip("|\n").split("|"))
-    for line in GUIDE.read_text().splitlines()
-    if re.match(r"\| `[a-z]+` \|", line)
+    (row[0].strip("`"), code.strip("`–"), *row[2:])
+    for row in ROWS
+    if len(row) == 4 and row[0].startswith("`")
+    for code in row[1].split(", ")
 ]
 BOARDS = [
-    tuple(cell.strip(" `") for cell in line.strip("|\n").split("|"))
-    for line in GUIDE.read_text().splitlines()
-    if re.match(r"\| `[a-z-]+` \| (Check|Board)", line)
+    (code.strip("`"), *row[1:])
+    for row in ROWS
+    if len(row) == 3 and row[0].startswith("`")
+    for code in row[0].split(", ")
 ]
 
 
@@ -40,6 +42,7 @@ def provoke(station: Any, state: str, code: str) -> None:
 @pytest.mark.browser
 def test_every_state_shows_the_order_of_the_guide(page: Page, served: Any) -> None:
     assert {s for s, *_ in STATES} >= {s.value for s in StationState}
+    assert len(STATES) >= 29, "one for each reason of a row"
     page.goto(served.url)
     for state, code, word, order in STATES:
         provoke(served.station, state, code)
@@ -53,6 +56,7 @@ def test_every_state_shows_the_order_of_the_guide(page: Page, served: Any) -> No
 def test_every_group_of_reasons_shows_the_order_of_the_guide(page: Page, served: Any) -> None:
     served.station.arm("demo-board")
     page.goto(served.url)
+    assert len(BOARDS) > 10, "one for each reason of a row"
     for cause, word, order in BOARDS:
         run = served.station.film(finish=False, board_id="SN-47")
         verdict = Status.FAILED if word == "Board failed" else Status.DEGRADED
