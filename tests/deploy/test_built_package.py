@@ -83,10 +83,13 @@ def test_its_program_is_the_whole_station(built: Built, tmp_path: Path) -> None:
 
 
 def test_what_unit_and_scripts_name_is_in_it(built: Built) -> None:
-    unit = (built.root / "usr/lib/systemd/system/vaoi-station.service").read_text()
-    started = re.search(r"^ExecStart=/(\S+)", unit, re.MULTILINE)
-    assert started is not None
-    assert os.access(built.root / started[1], os.X_OK)
+    units = built.root / "usr/lib/systemd/system"
+    for name in ("vaoi-station.service", "vaoi-hermes-tap.service"):
+        started = re.search(r"^ExecStart=/(\S+)", (units / name).read_text(), re.MULTILINE)
+        assert started is not None
+        program = built.root / started[1]
+        # The environment links to the interpreter of its release, which this machine may lack.
+        assert program.is_symlink() or os.access(program, os.X_OK), name
     for script in ("preinst", "postinst", "prerm", "postrm"):
         subprocess.run(["sh", "-n", built.control / script], check=True)
         assert os.access(built.control / script, os.X_OK)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from string import Template
 
 import pytest
 
@@ -17,14 +19,18 @@ from vaoi_station.child_environment import child_environment
 from vaoi_station.hermes.messages import Message
 from vaoi_station.hermes.service import TAP_SOCKET
 
+UNIT = (Path(__file__).parents[2] / "deploy" / "vaoi-hermes-tap.service").read_text(encoding="utf-8")
 BOARD = {"BoardId": "b1", "BoardIdCreatedBy": "printer", "FailedBoard": "1", "FlippedBoard": "1"}
 
 
 @contextmanager
 def tap(listen: int, target: int, station: Path) -> Iterator[subprocess.Popen[bytes]]:
-    addresses = f"127.0.0.1:{listen}", f"127.0.0.1:{target}"
-    command = [sys.executable, "-m", "vaoi_station.hermes.tap", *addresses, str(station)]
-    process = subprocess.Popen(command, env=child_environment())
+    """Run the command of the unit that the package installs."""
+    started = re.search(r"^ExecStart=\S+ (.*)$", UNIT, re.MULTILINE)
+    assert started is not None
+    given = {"LISTEN": f"127.0.0.1:{listen}", "TARGET": f"127.0.0.1:{target}", "SOCKET": str(station)}
+    arguments = Template(started[1]).substitute(given).split()
+    process = subprocess.Popen([sys.executable, *arguments], env=child_environment())
     try:
         yield process
     finally:
@@ -87,3 +93,7 @@ def test_a_tap_that_was_killed_is_there_again_when_it_is_started(played: PlayedS
         for _ in range(2):
             with tap(listen, server.getsockname()[1], tmp_path / TAP_SOCKET):
                 transfer(played, listen, server)
+
+
+def test_the_unit_finds_the_socket_of_a_packaged_station() -> None:
+    assert f"Environment=SOCKET=/var/lib/vaoi-station/data/{TAP_SOCKET}\n" in UNIT

@@ -67,10 +67,11 @@ def test_service_may_lock_its_ring_and_use_its_port() -> None:
     assert PAPER.controller.port == "/dev/" + re.findall(r'SYMLINK\+="([\w-]+)"', port)[0]
 
 
-def test_service_has_few_privileges() -> None:
+@pytest.mark.parametrize("name", ["vaoi-station.service", "vaoi-hermes-tap.service"])
+def test_service_has_few_privileges(name: str) -> None:
     """The exposure level of `systemd-analyze security`, 0 to 10, is at most 2.0, and systemd knows every key."""
     need("systemd-analyze")
-    unit = DEPLOY / "vaoi-station.service"
+    unit = DEPLOY / name
     command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(unit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if "unrecognized option" in done.stderr:
