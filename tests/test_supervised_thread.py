@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
 import re
 import threading
 import time
 import weakref
+from contextlib import suppress
 
 import pytest
 
-from vaoi_station.supervised_thread import SupervisedThread, faults_of
+from vaoi_station.supervised_thread import URGENT_NICE, SupervisedThread, faults_of
 
 PATIENCE_S = 10.0
 
@@ -112,3 +114,24 @@ def test_a_thread_that_has_ended_does_not_keep_its_owner() -> None:
         assert gone() is None
     finally:
         gc.enable()
+
+
+def test_an_urgent_thread_goes_before_others_where_the_system_allows_it() -> None:
+    def niceness() -> int:
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    def raise_priority() -> None:
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), URGENT_NICE)
+        found.append(niceness())
+
+    found, usual = list[int](), niceness()
+    for thread in (
+        threading.Thread(target=raise_priority),
+        SupervisedThread(lambda: found.append(niceness()), "urgent", urgent=True),
+        SupervisedThread(lambda: found.append(niceness()), "other"),
+    ):
+        thread.start()
+        thread.join(PATIENCE_S)
+    allowed, urgent, other = found
+    assert (urgent, other) == (allowed, usual)

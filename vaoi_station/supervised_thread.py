@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 _log = logging.getLogger(__name__)
@@ -17,6 +18,10 @@ LIMIT_S = 15.0
 
 DEVICE_LIMIT_S = 30.0
 """Longest time between two heartbeats of a thread that serves a device: some of its requests take seconds."""
+
+
+URGENT_NICE = -10
+"""Niceness of urgent threads."""
 
 
 class ThreadFault(NamedTuple):
@@ -36,10 +41,16 @@ class SupervisedThread(threading.Thread):
     The thread calls `beat` in every pass of its loop, and `rest` before it waits for work without a limit of time.
     """
 
-    def __init__(self, target: Callable[[], object], name: str, limit_s: float = LIMIT_S) -> None:
-        """Prepare a thread; `limit_s` is the longest time between two heartbeats."""
+    def __init__(
+        self, target: Callable[[], object], name: str, limit_s: float = LIMIT_S, *, urgent: bool = False
+    ) -> None:
+        """Prepare a thread; `limit_s` is the longest time between two heartbeats.
+
+        An `urgent` one computes little, and another machine waits for it: it goes before the workers, if the system
+        allows it.
+        """
         super().__init__(name=name, daemon=True)
-        self._work, self._limit_s = target, limit_s
+        self._work, self._limit_s, self._urgent = target, limit_s, urgent
         self._beat_s = math.inf
         self._failure = ""
         self._end_expected = False
@@ -73,6 +84,9 @@ class SupervisedThread(threading.Thread):
     def run(self) -> None:
         """Call the target. An exception that it raises is logged and becomes a fault."""
         self.beat()
+        if self._urgent:
+            with suppress(OSError):  # LimitNICE of the unit allows it; a station started by hand goes without
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), URGENT_NICE)
         try:
             self._work()
         except BaseException as error:  # noqa: BLE001  any end of the thread is a fault, which the supervisor acts on

@@ -154,17 +154,21 @@ class QueuedOrders:
     def by_messages(self, on: bool) -> None:
         self._queue.listen(on, self._world.now_s)
 
-    def announce(self, lane: int, board: LineBoard) -> None:
+    def announce(self, lane: int, board: LineBoard) -> tuple[Reason, ...]:
         self._queue.announce(lane, board, self._armed, self._world.now_s)
+        return self.may_accept(lane)
 
-    def withdrawn(self, lane: int) -> None:
+    def withdrawn(self, lane: int) -> tuple[Reason, ...]:
         self._queue.withdrawn(lane)
+        return self.may_accept(lane)
 
-    def started(self, lane: int) -> None:
+    def started(self, lane: int) -> tuple[Reason, ...]:
         self._queue.started(lane, self._world.now_s)
+        return self.may_accept(lane)
 
-    def finished(self, lane: int, state: Transfer) -> None:
+    def finished(self, lane: int, state: Transfer) -> tuple[Reason, ...]:
         self._queue.finished(lane, state, self._world.now_s)
+        return self.may_accept(lane)
 
     def may_accept(self, lane: int) -> tuple[Reason, ...]:
         self._queue.expire(self._world.now_s)

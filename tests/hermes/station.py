@@ -34,24 +34,28 @@ class GivenOrders:
     def by_messages(self, on: bool) -> None:
         assert on
 
-    def announce(self, lane: int, board: LineBoard) -> None:
+    def announce(self, lane: int, board: LineBoard) -> tuple[Reason, ...]:
         self.announced = board
         self.calls.append(f"announce {board.board_id}")
+        return self.held
 
-    def withdrawn(self, lane: int) -> None:
+    def withdrawn(self, lane: int) -> tuple[Reason, ...]:
         self.announced = None
         self.calls.append("withdrawn")
+        return self.held
 
-    def started(self, lane: int) -> None:
+    def started(self, lane: int) -> tuple[Reason, ...]:
         assert self.announced is not None
         self.calls.append("started")
+        return self.held
 
-    def finished(self, lane: int, transfer: Transfer) -> None:
+    def finished(self, lane: int, transfer: Transfer) -> tuple[Reason, ...]:
         assert self.announced is not None
         if transfer == "complete":
             self.gap.append(self.announced)
         self.announced = None
         self.calls.append(f"finished {transfer}")
+        return self.held
 
     def may_accept(self, lane: int) -> tuple[Reason, ...]:
         return self.held

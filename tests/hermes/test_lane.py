@@ -323,11 +323,11 @@ def test_a_board_that_may_be_a_bad_one_passes_as_bad_until_the_bad_one_is_seen()
 def test_a_product_whose_board_type_cannot_be_used_is_announced_as_such(played: Played) -> None:
     boards, announce = list[LineBoard](), played.orders.announce
 
-    def refuse(lane: int, board: LineBoard) -> None:
+    def refuse(lane: int, board: LineBoard) -> tuple[Reason, ...]:
         if board.board_type is not None:
             raise NotFoundError("relay is unknown")
         boards.append(board)
-        announce(lane, board)
+        return announce(lane, board)
 
     played.orders.announce = refuse  # type: ignore[method-assign]
     played.connect("upstream")

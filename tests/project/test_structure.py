@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from vaoi_station.supervised_thread import URGENT_NICE
+
 ROOT = Path(__file__).resolve().parents[2]
 MOST_PARAMETERS = 8
 FOLDERS = ("vaoi_station", "tests", "hw", "docs", "deploy")
@@ -41,9 +43,11 @@ def test_no_thread_of_the_station_has_a_lower_priority() -> None:
     processes = {
         "vaoi_station/rig/device_process.py": "the processes of emulated devices",
         "vaoi_station/runs/handover/adder.py": "the process that adds runs to the archive of the plant",
+        "vaoi_station/supervised_thread.py": "urgent threads, which have a higher one",
     }
     found = {str(path) for path in modules("vaoi_station") if "os.setpriority(" in (ROOT / path).read_text("utf-8")}
     assert found == set(processes), "only a process of its own may have one"
+    assert URGENT_NICE < 0
 
 
 def test_threads_of_the_service_are_supervised() -> None:

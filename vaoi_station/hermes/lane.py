@@ -43,21 +43,24 @@ _SAY_OUT = "Take the board out if it stands behind the cameras, then say on the 
 
 
 class LineOrders(Protocol):
-    """What the lane asks of the queue of orders, and tells it (`OrderRequests`)."""
+    """What the lane asks of the queue of orders, and tells it (`OrderRequests`).
+
+    What it tells is answered by what `may_accept` returns then: each answer waits for its turn among other messages.
+    """
 
     def by_messages(self, on: bool, /) -> None:
         """Take whether a neighbour announces every board."""
 
-    def announce(self, lane: int, board: LineBoard, /) -> None:
+    def announce(self, lane: int, board: LineBoard, /) -> tuple[Reason, ...]:
         """Take a board that comes next."""
 
-    def withdrawn(self, lane: int, /) -> None:
+    def withdrawn(self, lane: int, /) -> tuple[Reason, ...]:
         """Take back the announced board."""
 
-    def started(self, lane: int, /) -> None:
+    def started(self, lane: int, /) -> tuple[Reason, ...]:
         """Take that the announced board moves now."""
 
-    def finished(self, lane: int, state: Transfer, /) -> None:
+    def finished(self, lane: int, state: Transfer, /) -> tuple[Reason, ...]:
         """Take how the transfer ended."""
 
     def may_accept(self, lane: int, /) -> tuple[Reason, ...]:
@@ -67,8 +70,8 @@ class LineOrders(Protocol):
         """Return the announced board of a run; None if there is none, or it is not certain."""
 
 
-def announce(orders: LineOrders, config: Hermes, message: Message, publish: Callable[..., Any]) -> None:
-    """Announce the board of a BoardAvailable or BoardForecast to the queue of orders.
+def announce(orders: LineOrders, config: Hermes, message: Message, publish: Callable[..., Any]) -> tuple[Reason, ...]:
+    """Announce the board of a BoardAvailable or BoardForecast to the queue of orders, and return why it must wait.
 
     If the board type of its product cannot be used, that is published, and the board needs an order that names it.
     """
@@ -84,11 +87,11 @@ def announce(orders: LineOrders, config: Hermes, message: Message, publish: Call
         details=message,
     )
     try:
-        orders.announce(config.lane, board)
+        return orders.announce(config.lane, board)
     except VaoiError as refusal:
         text = f"hermes.products.{product} cannot be used: {refusal.message}"
         publish("trouble", text, code="product-unusable", action=refusal.action)
-        orders.announce(config.lane, replace(board, board_type=None, unusable=True))
+        return orders.announce(config.lane, replace(board, board_type=None, unusable=True))
 
 
 @dataclass(frozen=True)
@@ -162,18 +165,18 @@ class Lane:
         session = self.sessions.pop(side, None)
         if session is None:
             return
-        moving = self._started_s.pop(side, None) is not None
+        moving, wait = self._started_s.pop(side, None) is not None, None
         board = session.board or "without an id"
         if side == "upstream":
             if moving:
-                self.orders.finished(self.config.lane, "incomplete")
+                wait = self.orders.finished(self.config.lane, "incomplete")
             elif self._offered is not None:
-                self.orders.withdrawn(self.config.lane)
+                wait = self.orders.withdrawn(self.config.lane)
             self._offered = None
         if moving:
             text = f"The {side} machine was lost ({why}) while board {board} moved: it is not known where the board is."
             self._doubt(side, text)
-        self.decide(now_s)
+        self.decide(now_s, wait)
 
     def _doubt(self, side: Side, text: str) -> None:
         """Publish that a board may stand between two machines; offer no other board to the next one meanwhile."""
@@ -188,18 +191,19 @@ class Lane:
 
     def received(self, side: Side, message: Message, now_s: float) -> None:
         """Act on a message that the state of its connection allows."""
+        wait = None
         match message.tag:
             case "BoardForecast" if self._offered is None and "upstream" not in self._started_s:
                 if side == "upstream" and message.get("BoardId"):
-                    announce(self.orders, self.config, message, self.publish)
+                    wait = announce(self.orders, self.config, message, self.publish)
             case "BoardAvailable":
                 self._offered = message
-                announce(self.orders, self.config, message, self.publish)
+                wait = announce(self.orders, self.config, message, self.publish)
             case "RevokeBoardAvailable":
                 self._offered = None
-                self.orders.withdrawn(self.config.lane)
+                wait = self.orders.withdrawn(self.config.lane)
             case "TransportFinished":
-                self._arrived(message)
+                wait = self._arrived(message)
             case "StartTransport":
                 self._started_s["downstream"] = now_s
             case "StopTransport":
@@ -207,7 +211,7 @@ class Lane:
             case _:
                 self._informed(side, message)
                 return
-        self.decide(now_s)
+        self.decide(now_s, wait)
 
     def _informed(self, side: Side, message: Message) -> None:
         """Act on a message on which no transfer depends."""
@@ -223,11 +227,11 @@ class Lane:
                 text = f"The {side} machine sends command {message.get('Command')}, which the station does not obey."
                 self.publish("line", text, code="neighbour-says")
 
-    def _arrived(self, finished: Message) -> None:
-        """Answer the end of a transfer from upstream."""
+    def _arrived(self, finished: Message) -> tuple[Reason, ...]:
+        """Answer the end of a transfer from upstream, and return why the next board must wait."""
         state, board = finished.values["TransferState"], finished.values["BoardId"]
         self._started_s.pop("upstream", None)
-        self.orders.finished(self.config.lane, TRANSFERS[state])
+        wait = self.orders.finished(self.config.lane, TRANSFERS[state])
         session = self.sessions["upstream"]
         if session.may_send("StopTransport"):
             self.send("upstream", Message.of("StopTransport", TransferState=state, BoardId=board))
@@ -235,10 +239,11 @@ class Lane:
             self._track("BoardArrived", self._offered.board(), self._offered.parts, TRANSFERRED)
         elif state == NOT_STARTED:
             self._forget(board)
-            self.orders.withdrawn(self.config.lane)  # the machine offers it again, or does not
+            wait = self.orders.withdrawn(self.config.lane)  # the machine offers it again, or does not
         elif state == INCOMPLETE:
             self._doubt("upstream", f"Board {board} did not come in completely: it stands between the machines.")
         self._offered = None
+        return wait
 
     def _taken(self, stop: Message) -> None:
         """Take that the next machine has stopped the transfer: it knows whether it has the board."""
@@ -363,9 +368,14 @@ class Lane:
 
     # --- decisions
 
-    def decide(self, now_s: float) -> None:
-        """Send what is due: whether the next board may come, and which board waits for the next machine."""
-        self.held = (*self.orders.may_accept(self.config.lane), *(self.doubt() or self._full()))
+    def decide(self, now_s: float, wait: tuple[Reason, ...] | None = None) -> None:
+        """Send what is due: whether the next board may come, and which board waits for the next machine.
+
+        `wait` is why the next board must wait, if the queue of orders has just said it.
+        """
+        if wait is None:
+            wait = self.orders.may_accept(self.config.lane)
+        self.held = (*wait, *(self.doubt() or self._full()))
         self._decide_upstream(now_s)
         self._decide_downstream(now_s)
 

@@ -193,7 +193,8 @@ class HermesService:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._saved: tuple[tuple[Inside, ...], tuple[str, ...], bool] = ((), (), False)
         """The state of the lane when its boards were kept last."""
-        self.thread = SupervisedThread(lambda: asyncio.run(self._main()), "hermes")
+        self._saving: asyncio.Task[None] | None = None
+        self.thread = SupervisedThread(lambda: asyncio.run(self._main()), "hermes", urgent=True)
 
     @classmethod
     def of(cls, station: StationConfig, events: EventLog) -> HermesService | None:
@@ -292,6 +293,10 @@ class HermesService:
             for task in running:
                 if task.done():
                     task.result()  # a fault of this program ends the thread, which the supervisor reports
+        await self._end(running)
+
+    async def _end(self, running: list[asyncio.Task[None]]) -> None:
+        """Say that the station stops, end what runs, and keep what is known then."""
         for link in self._links.values():
             self._write(link, notification(SHUTDOWN, INFORMATION, "the station is stopping"))
         for writer in self._open.values():
@@ -302,7 +307,9 @@ class HermesService:
             task.cancel()
         await asyncio.gather(*running, return_exceptions=True)
         self._tick()  # runs that have ended, and boards that came into doubt meanwhile
-        self._save()
+        while self._saving is not None:
+            await asyncio.wait([self._saving])
+            self._save()
 
     def _tick(self) -> None:
         now_s = time.monotonic()
@@ -557,14 +564,16 @@ class HermesService:
         )
 
     def _save(self) -> None:
+        """Keep the boards, if they have changed. Another thread waits for the disk, and neighbours for neither."""
+        if self._saving is not None:
+            if not self._saving.done():
+                return
+            self._saving = None
         lane = self._lane
         state = tuple(lane.waiting), tuple(lane.passing), lane.leaving
-        if state == self._saved:
-            return
-        now, self._saved = lane.to_keep(), state
-        # A disk may be slow: the silence of this thread is no fault then.
-        with self.thread.waiting():
-            self._write_boards(now)
+        if state != self._saved:
+            now, self._saved = lane.to_keep(), state
+            self._saving = asyncio.create_task(asyncio.to_thread(self._write_boards, now))
 
     def _write_boards(self, now: tuple[Inside, ...]) -> None:
         try:

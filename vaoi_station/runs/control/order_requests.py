@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from vaoi_station.errors import InputError
 from vaoi_station.model import BoardType, Reason
@@ -98,37 +98,49 @@ class OrderRequests:
         """State whether a neighbour announces every board: then no board takes an order because it is the first."""
         self._change(lambda queue, now_s: queue.listen(on, now_s))
 
-    def announce(self, lane: int, board: LineBoard) -> None:
-        """Take the announcement of the next board of a lane; raises the errors of `add` about its board type."""
-        made = None if board.board_type is None else self._made(board.board_type)
-        self._change(lambda queue, now_s: queue.announce(lane, board, made, now_s))
+    def announce(self, lane: int, board: LineBoard) -> tuple[Reason, ...]:
+        """Take the announcement of the next board of a lane; raises the errors of `add` about its board type.
 
-    def withdrawn(self, lane: int) -> None:
+        Like each of the next methods it returns what `may_accept` returns then.
+        """
+        made = None if board.board_type is None else self._make_order(self._board_type(board.board_type), None, None)
+        return self._told(lane, lambda queue, now_s: queue.announce(lane, board, made and queue.shared(made), now_s))
+
+    def withdrawn(self, lane: int) -> tuple[Reason, ...]:
         """Forget the board that was announced on a lane."""
-        self._change(lambda queue, _: queue.withdrawn(lane))
+        return self._told(lane, lambda queue, _: queue.withdrawn(lane))
 
-    def started(self, lane: int) -> None:
+    def started(self, lane: int) -> tuple[Reason, ...]:
         """Take that the announced board of a lane is on its way to the barrier from now on."""
-        self._change(lambda queue, now_s: queue.started(lane, now_s))
+        return self._told(lane, lambda queue, now_s: queue.started(lane, now_s))
 
-    def finished(self, lane: int, state: Literal["complete", "incomplete", "not-started"]) -> None:
+    def finished(self, lane: int, state: Literal["complete", "incomplete", "not-started"]) -> tuple[Reason, ...]:
         """Take how the latest transport on a lane ended."""
-        self._change(lambda queue, now_s: queue.finished(lane, state, now_s))
+        return self._told(lane, lambda queue, now_s: queue.finished(lane, state, now_s))
 
     def may_accept(self, lane: int) -> tuple[Reason, ...]:
         """Return why the next board of a lane must not be sent now; empty if it may be."""
-
-        def ask() -> tuple[Reason, ...]:
-            orders = self._core.line.orders
-            return (*orders.queue.refusals(lane, orders.order), *self._held())
-
-        return self._inbox.ask(ask)
+        return self._inbox.ask(self._refusals, lane)
 
     def board_of_run(self, run: str) -> LineBoard | None:
         """Return the announced board that a run shows; None if that is not certain, or it was long ago."""
         return self._inbox.ask(lambda: self._core.line.orders.queue.board_of_run(run))
 
-    def _change(self, change: Callable[[OrderQueue, float], Any], order: str = "") -> OrderStatus:
+    def _refusals(self, lane: int) -> tuple[Reason, ...]:
+        orders = self._core.line.orders
+        return (*orders.queue.refusals(lane, orders.order), *self._held())
+
+    def _told(self, lane: int, change: Callable[[OrderQueue, float], object]) -> tuple[Reason, ...]:
+        """Change the queue by a message of a lane, and return in the same turn why its next board must wait."""
+
+        def do() -> tuple[Reason, ...]:
+            change(self._core.line.orders.queue, time.monotonic())
+            self._core.line.follow()
+            return self._refusals(lane)
+
+        return self._inbox.ask(do)
+
+    def _change(self, change: Callable[[OrderQueue, float], object], order: str = "") -> OrderStatus:
         """Change the queue in the coordinator's thread, let the line follow it, and return what an order is then."""
 
         def do() -> tuple[OrderStatus, ...]:

@@ -28,7 +28,7 @@ class Inbox:
         self._tick, self._tick_s, self._after = tick, tick_s, after
         self._messages: Queue[Callable[[], Any]] = Queue()
         self._closed = threading.Event()
-        self.thread = SupervisedThread(self._run, "coordinator")
+        self.thread = SupervisedThread(self._run, "coordinator", urgent=True)
 
     def start(self) -> None:
         """Start the thread that executes the posted functions."""
