@@ -27,6 +27,7 @@ from vaoi_station.files import read_calibration
 from vaoi_station.files.access_keys import AUDIT_FILE, KEY_FILE, KeyFile
 from vaoi_station.hermes.service import HermesService
 from vaoi_station.model import Calibration, Reason
+from vaoi_station.push.cfx_messages import Facts
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.archive.finished_runs import Archive
@@ -45,6 +46,7 @@ from vaoi_station.runs.run.order import OrderFactory
 from vaoi_station.runs.run.reference_store import ReferenceStore
 from vaoi_station.runs.run.standing_order import StandingOrder
 from vaoi_station.runs.states.run_ids import RunIds, utc
+from vaoi_station.runs.trends.figures import figures_of
 from vaoi_station.runs.workers.pool import WorkerPool
 from vaoi_station.store import BoardTypeDirectory, Database, Store
 from vaoi_station.supervised_thread import SupervisedThread, ThreadFault
@@ -95,8 +97,8 @@ class Station:
         self._parts, self._wound_down = ExitStack(), False
         self._supervisor: Supervisor | None = None
         self._coordinator: StationCoordinator | None = None
-        self.publisher: Publisher | None = None
-        """What publishes the events of the running station to a broker; None without one."""
+        self.publishers: tuple[Publisher, ...] = ()
+        """What publishes the events of the running station, one for each broker."""
         self.line: HermesService | None = None
         """The connections of the running station to its neighbours; None if they do not speak Hermes."""
 
@@ -139,11 +141,10 @@ class Station:
             missing = () if uncalibrated is None else (Reason.of(uncalibrated),)
             standing = StandingOrder(store.standing)
             resumed = standing.resume(board_types.get, make_order)
-            # Whom a station talks to: a broker, an archive of the plant, its neighbours in the line.
-            publisher = Publisher.of(config, events, lambda: str(coordinator.snapshot().state))
+            # Whom a station talks to: brokers, an archive of the plant, its neighbours in the line.
             handover = _handover(config, events, archive)
             line = HermesService.of(config, events)
-            receivers = [receiver for receiver in (publisher, handover, line) if receiver is not None]
+            receivers: list[Handover | HermesService | Publisher] = [one for one in (handover, line) if one is not None]
             supervisor = Supervisor(lambda: notify("WATCHDOG=1"), lambda faults: self._report(events, faults))
             coordinator = StationCoordinator(
                 Parts(
@@ -171,6 +172,7 @@ class Station:
                 lambda: tuple(map(_reason_of, supervisor.faults())),
                 StatusNotice(),
             )
+            receivers.extend(publishers := _publishers(config, events, archive, coordinator))
             if (remount := self._remount) is not None:
                 housekeeping.add(lambda: remount.check(archive.count_at_risk()), REMOUNT_S, code="storage-read-only")
             housekeeping.add(coordinator.sweep_references, RETENTION_S, code="retention")
@@ -206,11 +208,11 @@ class Station:
                 parts.enter_context(handover.running(coordinator.kept.recordings))
                 coordinator.kept.archive_status = handover.status
                 supervisor.watch(handover.thread)
-            if publisher is not None:
+            for publisher in publishers:
                 parts.enter_context(publisher.running(supervisor.watch))
             if line is not None:
                 parts.enter_context(line.running(supervisor.watch, coordinator.orders))
-            self._supervisor, self.publisher, self.line = supervisor, publisher, line
+            self._supervisor, self.publishers, self.line = supervisor, publishers, line
             self._parts, self._coordinator, self._wound_down = parts.pop_all(), coordinator, False
 
     @property
@@ -289,6 +291,18 @@ def _use_calibration(config: StationConfig, shelf: ReferenceStore, orders: MakeO
         orders.use_calibration(other)
 
 
+def _publishers(
+    config: StationConfig, events: EventLog, archive: Archive, coordinator: StationCoordinator
+) -> tuple[Publisher, ...]:
+    """Return what publishes the events of the station, and what its messages tell besides."""
+
+    def figures(run: str) -> dict[str, float]:
+        ended = archive.get(run)
+        return figures_of(ended.detail, ended.stitch)
+
+    return Publisher.of(config, events, Facts(coordinator.snapshot, coordinator.run, figures, coordinator.parts.known))
+
+
 def _handover(config: StationConfig, events: EventLog, archive: Archive) -> Handover | None:
     """Return what hands finished runs to the archive of the plant; None without one."""
     if config.archive is None:
@@ -360,7 +374,7 @@ def serve(config: StationConfig, port: int | None = None, file: Path | None = No
         files = None if file is None else StationFiles(file.resolve(), config)
         with no_collections():
             root = api.root_path
-            app = create_app(station.coordinator, names, access, station.publisher, file, files, root, station.line)
+            app = create_app(station.coordinator, names, access, station.publishers, file, files, root, station.line)
         web = WebServer(app, socket_, stop.request, tls=tls)
         web.start()
         station.watch(web.thread)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.push.event_list import EventList
 from vaoi_station.push import publisher as module
-from vaoi_station.push.mqtt import Outcome
+from vaoi_station.push.broker import Broker, Outcome
 from vaoi_station.push.publisher import Publisher, PublisherState, is_wanted, read_state
 from vaoi_station.runs.states.schemas import EventRecord
 
@@ -22,8 +22,10 @@ FAILED = Outcome(False, "no reply.")
 OK = Outcome(True, "acknowledged")
 
 
-class Scripted:
+class Scripted(Broker):
     """A broker that keeps what it was given, and gives the scripted outcomes; after the last one it accepts all."""
+
+    what, code = "MQTT broker", "mqtt-lost"
 
     def __init__(self, *outcomes: Outcome | Exception) -> None:
         self.outcomes, self.sent = list(outcomes), list[int]()
@@ -72,7 +74,8 @@ def running(events: EventList, path: Path, monkeypatch: pytest.MonkeyPatch) -> C
     @contextmanager
     def run(broker: Any, types: tuple[str, ...] = (), log: EventList | None = None) -> Iterator[Publisher]:
         chosen: Any = log or events
-        made = Publisher("broker", path, chosen, broker, types)
+        broker.kinds = types
+        made = Publisher("broker", path, chosen, broker)
         with made.running(lambda _: None):
             yield made
         assert not made.thread.is_alive()

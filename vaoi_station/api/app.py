@@ -52,7 +52,7 @@ def create_app(
     coordinator: StationCoordinator,
     names: Iterable[str] = (),
     access: AccessControl | None = None,
-    publisher: Publisher | None = None,
+    publishers: tuple[Publisher, ...] = (),
     config: Path | None = None,
     files: StationFiles | None = None,
     root_path: str = "",
@@ -68,7 +68,7 @@ def create_app(
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
     """
-    services = Services(coordinator, EventHub(coordinator), publisher, line)
+    services = Services(coordinator, EventHub(coordinator), publishers, line)
 
     previews = Previews()
 

@@ -16,13 +16,14 @@ from vaoi_station.config import StationConfig
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import is_directory, writable
 from vaoi_station.doctor.running_station import CheckContext
-from vaoi_station.errors import InputError, VaoiError
+from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.files import read_calibration
 from vaoi_station.files.documents import read_text
 from vaoi_station.model import BoardType
-from vaoi_station.model.receivers import MqttConfig
+from vaoi_station.model.receivers import BrokerConfig
 from vaoi_station.photometry import FlatFields
 from vaoi_station.photometry.flat_fields import EXPIRED_DAYS
+from vaoi_station.push import proton_library
 from vaoi_station.store import BoardTypeDirectory
 
 
@@ -215,15 +216,18 @@ def station_certificate(context: CheckContext) -> Iterator[Finding]:
 
 
 def receivers(context: CheckContext) -> Iterator[Finding]:
-    """Check the broker of station.toml. A fault is a warning: the station films without it. Nothing is sent."""
-    broker = context.config.push.mqtt
-    if broker is None:
-        yield not_applicable("no MQTT broker is configured")
-        return
-    problems = list(_broker(broker))
-    yield from problems
-    if not problems:
-        yield ok(f"the MQTT broker {broker.host} can be used")
+    """Check the brokers of station.toml. Nothing is sent. The station films without them, but not without a library."""
+    push = context.config.push
+    brokers: dict[str, BrokerConfig] = {
+        key: broker for key, broker in (("mqtt", push.mqtt), ("cfx", push.cfx)) if broker is not None
+    }
+    if not brokers:
+        yield not_applicable("no broker is configured")
+    for key, broker in brokers.items():
+        problems = list(_broker(key, broker))
+        yield from problems
+        if not problems:
+            yield ok(f"the {key.upper()} broker {broker.host} can be used")
 
 
 def neighbours(context: CheckContext) -> Iterator[Finding]:
@@ -241,34 +245,46 @@ def neighbours(context: CheckContext) -> Iterator[Finding]:
         yield ok(f"the board types of {len(hermes.products)} products of the line can be read")
 
 
-def _broker(broker: MqttConfig) -> Iterator[Finding]:
-    if importlib.util.find_spec("paho") is None:
+def _library(key: str, broker: BrokerConfig) -> Iterator[Finding]:
+    if key == "mqtt" and importlib.util.find_spec("paho") is None:
         message = f"push.mqtt: {broker.host} is configured, but the package paho-mqtt is absent."
-        yield warning("mqtt-package-absent", message, "pip install 'vaoi-station[mqtt]'", "mqtt")
+        yield warning("mqtt-package-absent", message, "pip install 'vaoi-station[mqtt]'", key)
+    if key == "cfx":
+        try:
+            proton_library.load()
+        except DeviceError as error:
+            yield fault("cfx-package-absent", error.message, error.action, key)
+
+
+def _broker(key: str, broker: BrokerConfig) -> Iterator[Finding]:
+    yield from _library(key, broker)
     if broker.password_file is not None:
         figures: Figures = {"path": str(broker.password_file)}
-        message, action = f"push.mqtt.password_file: {broker.password_file} is empty.", "Write the password."
+        message, action = f"push.{key}.password_file: {broker.password_file} is empty.", "Write the password."
         try:
             unusable = not read_text(broker.password_file).strip()
         except VaoiError as error:
-            unusable, message = True, f"push.mqtt.password_file: {error.message}"
+            unusable, message = True, f"push.{key}.password_file: {error.message}"
             action = error.action or "Write the password to it, and make it readable to the service."
         if unusable:
-            yield warning("mqtt-password-unusable", message, action, "mqtt", **figures)
+            if key == "mqtt":
+                yield warning("mqtt-password-unusable", message, action, key, **figures)
+            else:
+                yield warning("cfx-password-unusable", message, action, key, **figures)
         if broker.password_file.is_file():
-            yield from readable_by_others(broker.password_file, "push.mqtt: the password", "mqtt")
+            yield from readable_by_others(broker.password_file, f"push.{key}: the password", key)
     if broker.ca is not None:
         try:
             ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(broker.ca)
         except OSError as error:
-            message = f"push.mqtt.ca: {broker.ca} cannot be read as PEM certificates ({error})."
+            message = f"push.{key}.ca: {broker.ca} cannot be read as PEM certificates ({error})."
             figures = {"path": str(broker.ca)}
-            yield warning("certificate-unusable", message, "Give a PEM file.", "mqtt", **figures)
+            yield warning("certificate-unusable", message, "Give a PEM file.", key, **figures)
     if broker.certificate is not None and broker.private_key is not None:
         try:
             # Without a password here, an encrypted key would be asked for at the terminal.
             ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_cert_chain(broker.certificate, broker.private_key, lambda: "")
         except (OSError, ValueError) as error:
-            message = f"push.mqtt: {broker.certificate} and {broker.private_key} cannot be used ({error})."
+            message = f"push.{key}: {broker.certificate} and {broker.private_key} cannot be used ({error})."
             action = "Give a certificate and its private key as PEM files without a password."
-            yield warning("certificate-unusable", message, action, "mqtt")
+            yield warning("certificate-unusable", message, action, key)

@@ -1,1 +1,1 @@
-"""Push: the events of the station, published to an MQTT broker in order and at least once; the line waits for none."""
+"""Push: events of the station to a broker, by MQTT or as IPC-CFX, in order, at least once; the line waits for none."""

@@ -13,19 +13,18 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.documents import read_text
 from vaoi_station.model.receivers import MqttConfig
+from vaoi_station.push.broker import LIMIT_S, Broker, Outcome
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import EventRecord
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
-LIMIT_S = 10.0
-"""Longest wait for the broker's reply to a connection or a message, s."""
 KEEPALIVE_S = 15
 """Time of silence after which broker and station ask whether the other is there, s."""
 COMPARE_S = 1.0
@@ -33,14 +32,6 @@ COMPARE_S = 1.0
 OFFLINE = "offline"
 """State that the broker publishes when the connection breaks."""
 _MISSING = "The package paho-mqtt is absent. Install it: pip install 'vaoi-station[mqtt]'."
-
-
-class Outcome(NamedTuple):
-    """What became of one attempt to publish or to connect."""
-
-    delivered: bool
-    detail: str
-    """Why it failed."""
 
 
 def type_of(record: EventRecord) -> str:
@@ -55,12 +46,16 @@ def message_of(record: EventRecord, station: str) -> bytes:
     return json.dumps(body, separators=(",", ":")).encode()
 
 
-class MqttBroker:
+class MqttBroker(Broker):
     """Publishes to one broker. One thread calls it; the library has a thread of its own for the connection."""
+
+    what = "MQTT broker"
+    code = "mqtt-lost"
 
     def __init__(self, broker: MqttConfig, station: str, state: Callable[[], str], limit_s: float = LIMIT_S) -> None:
         """Prepare the connection; `state` returns the state of the station."""
         self._broker, self._station, self._state, self._limit_s = broker, station, state, limit_s
+        self.kinds = broker.events
         # A name may have characters that have a meaning in topics.
         name = "".join("_" if c in "+#/" else c for c in station)
         self._prefix = broker.prefix or f"vaoi/{name}"

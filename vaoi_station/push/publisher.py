@@ -17,17 +17,18 @@ from vaoi_station.config import StationConfig
 from vaoi_station.errors import VaoiError
 from vaoi_station.files.documents import check_format, parse, read_json, write_json
 from vaoi_station.model import Reason
-from vaoi_station.push.mqtt import MqttBroker, Outcome, type_of
+from vaoi_station.push.broker import OWN_KIND, Broker, Outcome
+from vaoi_station.push.cfx import CfxBroker
+from vaoi_station.push.cfx_messages import Facts
+from vaoi_station.push.mqtt import MqttBroker, type_of
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.schemas import EventRecord
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
 
-FOLDER, FILE = "push", "mqtt.json"
+FOLDER = "push"
 FORMAT, VERSION = "vaoi-push-state", 1
-OWN_KIND = "push"
-"""Kind of the events about the broker. They are not published: a broker that fails would cause messages without end."""
 PAUSES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """Pauses after failed attempts, s; the last one is repeated."""
 MOST_WAITING = 10_000
@@ -69,9 +70,9 @@ def is_wanted(record: EventRecord, types: Sequence[str]) -> bool:
 class Publisher:
     """Publishes the wanted events to one broker."""
 
-    def __init__(self, name: str, path: Path, events: EventLog, broker: MqttBroker, types: Sequence[str] = ()) -> None:
+    def __init__(self, name: str, path: Path, events: EventLog, broker: Broker) -> None:
         """Prepare the thread; its state is in the file `path`. Without the file it begins with the next event."""
-        self.name, self._path, self._events, self._broker, self._types = name, path, events, broker, types
+        self.name, self._path, self._events, self._broker = name, path, events, broker
         self.state = read_state(path, events.last)
         self._saved: PublisherState | None = None
         self._saved_at_s, self._earlier = 0.0, events.last
@@ -81,12 +82,17 @@ class Publisher:
         self.thread = SupervisedThread(self._run, f"push {name}")
 
     @classmethod
-    def of(cls, config: StationConfig, events: EventLog, state: Callable[[], str]) -> Publisher | None:
-        """Return the publisher of a station, or None without a broker; `state` returns the state of the station."""
-        if (broker := config.push.mqtt) is None:
-            return None
-        path = config.data / FOLDER / FILE
-        return cls(f"mqtt:{broker.host}", path, events, MqttBroker(broker, config.name, state), broker.events)
+    def of(cls, config: StationConfig, events: EventLog, facts: Facts) -> tuple[Publisher, ...]:
+        """Return the publishers of a station, one for each broker; DeviceError if one lacks its library."""
+        found: dict[str, tuple[str, Broker]] = {}
+        if (mqtt := config.push.mqtt) is not None:
+            found["mqtt"] = mqtt.host, MqttBroker(mqtt, config.name, lambda: str(facts.snapshot().state))
+        if (cfx := config.push.cfx) is not None:
+            found["cfx"] = cfx.host, CfxBroker(cfx, config.name, events, facts, config.hermes is not None)
+        return tuple(
+            cls(f"{kind}:{host}", config.data / FOLDER / f"{kind}.json", events, broker)
+            for kind, (host, broker) in found.items()
+        )
 
     @contextmanager
     def running(self, watch: Callable[[SupervisedThread], object]) -> Iterator[None]:
@@ -115,9 +121,10 @@ class Publisher:
         return (self._lost(),) if self.is_failing else ()
 
     def _lost(self) -> Reason:
-        message = f"MQTT broker {self.name!r} does not accept messages: {self._fault} {self.waiting} events wait."
+        what = f"{self._broker.what} {self.name!r}"
+        message = f"{what} does not accept messages: {self._fault} {self.waiting} events wait."
         action = "Check broker, address, user and certificate; it is tried again by itself."
-        return Reason(code="mqtt-lost", message=message, action=action)
+        return Reason(code=self._broker.code, message=message, action=action)
 
     def _run(self) -> None:
         # Names are resolved for as long as the resolver takes: the silence of this thread is no fault.
@@ -134,10 +141,11 @@ class Publisher:
 
     def _pass(self) -> None:
         """Make one attempt, or wait a moment."""
+        self._broker.tend()
         left_s = self._due_s - time.monotonic()
         outcome = None
         if left_s > 0:
-            self._stopping.wait(left_s)
+            self._stopping.wait(min(left_s, READ_S))
         elif (record := self._next()) is None:
             outcome = self._tried(self._broker.idle)
         else:
@@ -171,7 +179,7 @@ class Publisher:
             record = self._waiting[0]
             if record.number > self.state.last + 1:
                 self._skip(record.number - 1, _UNREADABLE)
-            if is_wanted(record, self._types):
+            if is_wanted(record, self._broker.kinds):
                 return record
             self._waiting.popleft()
             self._change(last=record.number)
@@ -195,7 +203,7 @@ class Publisher:
         self._change(last=last, skipped=self.state.skipped + count)
         while self._waiting and self._waiting[0].number <= last:
             self._waiting.popleft()
-        message = f"MQTT broker {self.name!r} does not get {count} events up to number {last}: {why}."
+        message = f"{self._broker.what} {self.name!r} does not get {count} events up to number {last}: {why}."
         self._events.add(OWN_KIND, message, code="events-not-pushed", action="Read them with GET events?after=.")
 
     def _note(self, outcome: Outcome) -> None:
@@ -204,7 +212,7 @@ class Publisher:
         if outcome.delivered:
             self._in_a_row, self._fault = 0, ""
             if was_failing:
-                self._events.add(OWN_KIND, f"MQTT broker {self.name!r} is reached again.")
+                self._events.add(OWN_KIND, f"{self._broker.what} {self.name!r} is reached again.")
         elif not self._stopping.is_set():  # otherwise it may have failed because the station stops
             self._in_a_row, self._fault = self._in_a_row + 1, outcome.detail
             self._due_s = time.monotonic() + PAUSES_S[min(self._in_a_row, len(PAUSES_S)) - 1]

@@ -36,7 +36,7 @@ def router(services: Services) -> APIRouter:
             _station(snapshot, coordinator.run_figures()),
             _cameras(snapshot),
             _processes(snapshot),
-            _publishing(services.publisher),
+            _publishing(services.publishers),
             _archive(snapshot.retention.archive),
             _storage(coordinator.storage.figures()),
         )
@@ -128,21 +128,20 @@ def _processes(now: StationSnapshot) -> Iterator[str]:
         )
 
 
-def _publishing(publisher: Publisher | None) -> Iterator[str]:
-    values: list[float | None] = [None] * 5
-    if publisher is not None:
-        state = publisher.state
-        values = [not publisher.is_failing, publisher.waiting, state.delivered, state.failures, state.skipped]
+def _publishing(publishers: Iterable[Publisher]) -> Iterator[str]:
+    values = {
+        one.name: (not one.is_failing, one.waiting, one.state.delivered, one.state.failures, one.state.skipped)
+        for one in publishers
+    }
     texts = {
         "up": "1 if the broker accepts messages, 0 if it fails.",
         "waiting": "Events that have not had their turn at the broker.",
-        "delivered_total": "Messages that the broker has accepted.",
+        "delivered_total": "Events that the broker has accepted.",
         "failures_total": "Attempts to publish that failed.",
         "skipped_total": "Events that were not sent because too many waited.",
     }
-    labels = {} if publisher is None else {"receiver": publisher.name}
-    for (name, text), value in zip(texts.items(), values, strict=True):
-        yield from metric(f"push_{name}", text, (labels, value))
+    for index, (name, text) in enumerate(texts.items()):
+        yield from metric(f"push_{name}", text, *_by("receiver", ((who, each[index]) for who, each in values.items())))
 
 
 def _archive(status: ArchiveStatus | None) -> Iterator[str]:

@@ -27,7 +27,7 @@ class Services:
 
     coordinator: StationCoordinator
     hub: EventHub
-    publisher: Publisher | None = None
+    publishers: tuple[Publisher, ...] = ()
     line: HermesService | None = None
     """The neighbours in the line; None if they do not speak Hermes."""
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))

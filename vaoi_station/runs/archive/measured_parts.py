@@ -113,20 +113,20 @@ class MeasuredParts:
             StateError: the run has no CAD mapping.
             GoneError: the frames are neither in memory nor recorded, and the parts were not measured before.
         """
-        if (found := self._known(run)) is not None:
+        if (found := self.known(run)) is not None:
             return found
         # Of a run without frames it is said at once.
         finished = _checked(self._archive.get(run))
         if not recorded_files(self.recorded, run, finished.slots):
             self._bay_of(run)
         with self._lock:
-            if (found := self._known(run)) is not None:
+            if (found := self.known(run)) is not None:
                 return found
             return self._with_frames(finished, lambda place: self._measured(finished, place, Priority.RENDER))
 
     def measure_of(self, run: str, address: str) -> dict[str, Any] | None:
         """Return the measure of a part; None if the parts of the run were not measured."""
-        content = self._known(run)
+        content = self.known(run)
         return None if content is None else from_json(content)["parts"].get(address)
 
     def limits_of(self, run: str, address: str) -> PartLimits:
@@ -284,7 +284,7 @@ class MeasuredParts:
         self._archive.store.save_parts(run, content.decode())
         return self._documents.put(run, content)
 
-    def _known(self, run: str) -> bytes | None:
+    def known(self, run: str) -> bytes | None:
         """Return the measures of a run that hold: those with good boards, or by heights until a good board comes."""
         if (found := self._documents.get(run)) is not None:
             return found
