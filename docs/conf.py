@@ -14,6 +14,7 @@ include_patterns = ["README.md", "docs/**.md", "hw/**.md"]
 exclude_patterns = ["**/build/**"]
 root_doc = "docs/index"
 html_theme = "furo"
+html_static_path = html_css_files = ["site.css"]
 html_show_sourcelink = html_copy_source = False
 myst_heading_anchors = 4
 # Headings begin below the first level in parts of pages; examples in JSON are cut with "…".

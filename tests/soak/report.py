@@ -67,7 +67,10 @@ def slope_table(series: Sequence[Series]) -> str:
     lines = ["| growth | median | slope per 1000 boards |", "|---|--:|---|"]
     moving = [s for s in series if s.slope is not None and not s.slope.flat]
     rows = (f"| {s.name} | {_cells(s.slope)} |" for s in moving if s.slope is not None)
-    return "\n".join([*lines, *rows, f"| {len(series) - len(moving)} other series | | indistinguishable from zero |"])
+    short = sum(s.slope is None for s in series)
+    others = [f"| {len(series) - len(moving) - short} other series | | indistinguishable from zero |"]
+    others += [f"| {short} series | | lives too short |"] if short else []
+    return "\n".join([*lines, *rows, *others])
 
 
 def fault_table(soak: Mapping[str, Any]) -> str:
