@@ -72,6 +72,20 @@ class SupervisedThread(threading.Thread):
         finally:
             self.beat()
 
+    @contextmanager
+    def serving(
+        self, watch: Callable[[SupervisedThread], object], end: Callable[[], object], limit_s: float
+    ) -> Iterator[None]:
+        """Run during a `with` block: `watch` supervises the thread, `end` asks it to end, for `limit_s` at most."""
+        self.start()
+        watch(self)
+        try:
+            yield
+        finally:
+            self.expect_end()
+            end()
+            self.join(limit_s)
+
     def expect_end(self) -> None:
         """Record that the thread was asked to end, so that its end is not a fault."""
         self._end_expected = True

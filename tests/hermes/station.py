@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import socket
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -75,29 +75,40 @@ class PlayedStation:
         whole = read_config(EXAMPLE).model_copy(update={"hermes": self.config, "data": data})
         self.service = HermesService(self.config, whole, cast("Any", self.events))
 
-    def film(self, lasts_s: float = 0.0) -> str:
+    def film(self) -> str:
         """Let a board pass the cameras, and its run end."""
         self._runs += 1
         run = f"20260101-{self._runs:06d}"
         self.events.add("run", "A board is being filmed.", state="filming", run=run)
-        time.sleep(lasts_s)
         self.events.add("run", "Done.", state="ready", run=run)
         return run
 
     def connect(self, port: int) -> socket.socket:
-        """Connect to the station as soon as it listens, and as the one before has left the lane."""
-        until_s = time.monotonic() + WAIT_S
-        while True:
-            try:
-                return socket.create_connection(("127.0.0.1", port), WAIT_S)
-            except ConnectionRefusedError:
-                assert time.monotonic() < until_s
-                time.sleep(0.01)
+        """Connect to the station as soon as it listens."""
+        made: list[socket.socket] = []
+
+        def listens() -> bool:
+            with suppress(ConnectionRefusedError):
+                made.append(socket.create_connection(("127.0.0.1", port), WAIT_S))
+            return bool(made)
+
+        wait_for(listens)
+        return made[0]
 
     @contextmanager
     def running(self) -> Iterator[PlayedStation]:
         with self.service.running(lambda _: None, self.orders):
             yield self
+
+
+def wait_for(holds: Callable[[], bool]) -> None:
+    """Wait until the thread of the connections has come so far."""
+    pause = threading.Event()
+    for _ in range(3000):
+        if holds():
+            return
+        pause.wait(0.01)
+    raise AssertionError("it did not come so far")
 
 
 def free_port() -> int:

@@ -250,12 +250,18 @@ def test_an_id_that_two_boards_have_is_passed_on_with_the_first_only() -> None:
     assert played.events == ["board-id-twice"]
 
 
-def test_a_start_that_crossed_a_revocation_and_the_next_offer_moves_nothing(played: Played) -> None:
+def two_wait(played: Played) -> tuple[Inside, Inside]:
+    """Let two boards wait for a machine that is ready for the first one."""
     played.connect("downstream")
     played.film("run-1")
     played.film("run-2")
     first, second = played.lane.waiting
     played.take("downstream", "MachineReady", FailedBoard=0)
+    return first, second
+
+
+def test_a_start_that_crossed_a_revocation_and_the_next_offer_moves_nothing(played: Played) -> None:
+    first, second = two_wait(played)
     assert played.lane.remove(first.board_id, 1.0)
     session = played.lane.sessions["downstream"]
     answer = session.received(Message.of("StartTransport", BoardId=first.board_id), 1.0)
@@ -277,11 +283,7 @@ def test_others_may_ask_for_the_doubt_while_the_first_board_leaves(played: Playe
 
 def test_a_stop_that_crossed_a_revocation_takes_no_other_board(played: Played) -> None:
     """A person took the first board out; the next machine started it in the same moment, and says that it has it."""
-    played.connect("downstream")
-    played.film("run-1")
-    played.film("run-2")
-    first, second = played.lane.waiting
-    played.take("downstream", "MachineReady", FailedBoard=0)
+    first, second = two_wait(played)
     played.lane.sessions["downstream"].sent(Message.of("RevokeBoardAvailable"))
     played.lane.waiting.popleft()
     played.take("downstream", "StartTransport", BoardId=first.board_id)

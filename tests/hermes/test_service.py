@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import socket
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
-from tests.hermes.station import PlayedStation, free_port
+from tests.hermes.station import PlayedStation, free_port, wait_for
 from vaoi_station.errors import StateError
 from vaoi_station.hermes import service
 from vaoi_station.hermes.framing import Framing
@@ -69,16 +68,6 @@ def port() -> int:
 def station(tmp_path: Path, port: int) -> Iterator[PlayedStation]:
     with PlayedStation(tmp_path, listen=f"127.0.0.1:{port}", exit_s=0.1).running() as running:
         yield running
-
-
-def wait_for(holds: Callable[[], bool]) -> None:
-    """Wait until the thread of the connections has come so far."""
-    pause = threading.Event()
-    for _ in range(3000):
-        if holds():
-            return
-        pause.wait(0.01)
-    raise AssertionError("it did not come so far")
 
 
 def test_a_second_machine_hears_that_the_lane_is_taken(station: PlayedStation, port: int) -> None:

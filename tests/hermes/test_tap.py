@@ -13,8 +13,8 @@ from string import Template
 
 import pytest
 
-from tests.hermes.station import PlayedStation, free_port
-from tests.hermes.test_service import HELLO, Peer, wait_for
+from tests.hermes.station import PlayedStation, free_port, wait_for
+from tests.hermes.test_service import HELLO, Peer
 from vaoi_station.child_environment import child_environment
 from vaoi_station.hermes.messages import Message
 from vaoi_station.hermes.service import TAP_SOCKET

@@ -14,8 +14,8 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractContextManager, suppress
 from datetime import datetime
 from typing import Literal
 
@@ -201,22 +201,14 @@ class HermesService:
         """Return the connections of a station; None if its neighbours do not speak Hermes."""
         return None if station.hermes is None else cls(station.hermes, station, events)
 
-    @contextmanager
-    def running(self, watch: Callable[[SupervisedThread], object], orders: LineOrders) -> Iterator[None]:
+    def running(self, watch: Callable[[SupervisedThread], object], orders: LineOrders) -> AbstractContextManager[None]:
         """Talk to the neighbours during a `with` block; `watch` supervises the thread."""
         line, self._orders = self._station.line, orders
         speed_mm_s = line.speed_mm_s if line.speed_limits_mm_s is None else None
         transfer_s, acts = self._config.longest_transfer_s(line), (self._send, self._publish, self._supervise)
         self._lane = Lane(self._config, self._machine, speed_mm_s, orders, *acts, transfer_s)
         self._listening = Listening(self._config, orders, self._note, self._publish)
-        self.thread.start()
-        watch(self.thread)
-        try:
-            yield
-        finally:
-            self.thread.expect_end()
-            self._stopping.set()
-            self.thread.join(STOP_S)
+        return self.thread.serving(watch, self._stopping.set, STOP_S)
 
     def reasons(self) -> tuple[Reason, ...]:
         """Return warnings: neighbours that are not there, addresses that cannot be used, a board between machines."""

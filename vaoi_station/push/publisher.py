@@ -6,8 +6,8 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
@@ -94,17 +94,9 @@ class Publisher:
             for kind, (host, broker) in found.items()
         )
 
-    @contextmanager
-    def running(self, watch: Callable[[SupervisedThread], object]) -> Iterator[None]:
+    def running(self, watch: Callable[[SupervisedThread], object]) -> AbstractContextManager[None]:
         """Publish during a `with` block; `watch` supervises the thread."""
-        self.thread.start()
-        watch(self.thread)
-        try:
-            yield
-        finally:
-            self.thread.expect_end()
-            self._stopping.set()
-            self.thread.join(STOP_S)
+        return self.thread.serving(watch, self._stopping.set, STOP_S)
 
     @property
     def waiting(self) -> int:

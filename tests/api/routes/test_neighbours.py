@@ -9,8 +9,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from tests.api.held_station import HeldStation
-from tests.hermes.station import PlayedStation, free_port
-from tests.hermes.test_service import wait_for
+from tests.hermes.station import PlayedStation, free_port, wait_for
 from vaoi_station.api.access import scope_needed
 from vaoi_station.api.app import create_app
 
