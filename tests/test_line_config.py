@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from vaoi_station.config import conflicts
-from vaoi_station.line_config import Hermes, Line
+from vaoi_station.config import ControllerConfig, conflicts
+from vaoi_station.line_config import Hermes, Line, Smema
 
 VALID: dict[str, Any] = {
     "conveyor_mm_s": (0.0, 100.0), "barrier_mm": 0.0, "start_delay_s": 0.1,
@@ -104,3 +104,18 @@ def test_a_transfer_may_not_be_longer_than_the_way_to_the_barrier(transfer_s: fl
     assert hermes.longest_transfer_s(line) == limit_s
     found = [*conflicts((), None, set(), line, hermes)]
     assert [text[:27] for text in found] == (["hermes.transfer_s is 20.1, "] if limit_s > 20 else [])
+
+
+def test_contacts_need_the_output_line_ready_and_the_next_machine_takes_boards_in_one_way() -> None:
+    off, on = ControllerConfig(backend="serial"), ControllerConfig(backend="serial", interlock="on")
+    both, hermes = Smema(sides="both"), Hermes(listen="a")
+
+    def found(controller: ControllerConfig, hermes: Hermes | None, smema: Smema) -> list[str]:
+        return [text[:15] for text in conflicts((), controller, set(), None, hermes, smema)]
+
+    assert found(on, None, both) == []
+    assert found(off, None, both) == ["[smema] needs c"]
+    assert found(on, hermes, both) == ['smema.sides = "']
+    assert found(on, hermes, Smema(sides="upstream")) == []
+    with pytest.raises(ValidationError, match="must begin with the lower limit"):
+        Smema(sides="both", exit_s=(2.0, 1.0))

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, Field, model_validator
 
 from vaoi_station.files.documents import parse, read_toml
-from vaoi_station.line_config import Hermes, Line, NotNegative, Section
+from vaoi_station.line_config import Hermes, Line, NotNegative, Section, Smema
 from vaoi_station.model import CameraHead, Finite, Positive, Program, Visibility, Whole
 from vaoi_station.model.receivers import PushConfig
 from vaoi_station.model.root_path import RootPath
@@ -350,6 +350,7 @@ class StationConfig(Section):
     keep: KeepConfig = KeepConfig()
     push: PushConfig = PushConfig()
     hermes: Hermes | None = None
+    smema: Smema | None = None
     archive: ArchiveConfig | None = None
     program: Program = ()
     """Light, exposure and gain of the rows, in turn, unless the board type has a program."""
@@ -359,7 +360,7 @@ class StationConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         tables = {name for name in TABLE_OF.values() if getattr(self, name) is not None}
-        if found := [*conflicts(self.cameras, self.controller, tables, self.line, self.hermes)]:
+        if found := [*conflicts(self.cameras, self.controller, tables, self.line, self.hermes, self.smema)]:
             raise ValueError("; ".join(found))
         return self
 
@@ -391,6 +392,7 @@ def conflicts(
     tables: Set[str],
     line: Line | None,
     hermes: Hermes | None,
+    smema: Smema | None = None,
 ) -> Iterator[str]:
     """Yield every contradiction between tables. A table that is not valid by itself is None and is not compared.
 
@@ -429,6 +431,11 @@ def conflicts(
             f"hermes.transfer_s is {hermes.transfer_s:g}, but a board is given up {line.transport_s[1]:g} s after its "
             "transport began, the second value of line.transport_s; it must be at least as long"
         )
+    if smema is not None and controller is not None and controller.interlock == "off":
+        yield '[smema] needs controller.interlock = "on": "machine ready" to the machine upstream is that output'
+    # Two ways to offer one board could give it to the next machine twice.
+    if smema is not None and smema.sides == "both" and hermes is not None and hermes.listen is not None:
+        yield 'smema.sides = "both" and hermes.listen exclude each other: the next machine takes boards by one of them'
 
 
 def read_config(path: Path) -> StationConfig:

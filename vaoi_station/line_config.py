@@ -288,3 +288,20 @@ class Hermes(Section):
         """Return host and port of an address as it is given in the table."""
         host, _, port = given.partition(":")
         return host, int(port) if port else HERMES_PORT + self.lane
+
+
+class Smema(Section):
+    """The neighbours in the line by the contacts of IPC-SMEMA-9851 on the controller (docs/line.md)."""
+
+    sides: Literal["upstream", "both"]
+    """Whether only the contacts of the machine upstream are wired, or those of the next machine as well."""
+    exit_s: tuple[NotNegative, Annotated[Positive, Field(le=60)]] = (1.0, 30.0)
+    """Shortest and longest time in which a board leaves for a next machine that is ready."""
+    places: Annotated[Whole, Field(ge=1, le=20)] = 1
+    """Number of boards that may stand between the barrier and the next machine."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.exit_s[0] > self.exit_s[1]:
+            raise ValueError(f"exit_s is {list(self.exit_s)}, but must begin with the lower limit")
+        return self

@@ -12,7 +12,12 @@ import pytest
 
 from vaoi_station.acquisition.cameras.interface import Slot
 from vaoi_station.acquisition.clocks import DeviceClock
+from vaoi_station.acquisition.controller.announced import AnnouncedBoards
 from vaoi_station.acquisition.controller.interface import (
+    BarrierBlocked,
+    BoardOffer,
+    Contacts,
+    ContactsChanged,
     EventQueue,
     Permit,
     RunEnded,
@@ -34,6 +39,7 @@ from vaoi_station.acquisition.simulated import (
     SimulatedController,
 )
 from vaoi_station.config import StationConfig
+from vaoi_station.line_config import Smema
 from vaoi_station.model import Verdict
 from vaoi_station.simulation import Passage, Twin, calibration_board, read_scenario
 
@@ -63,12 +69,14 @@ def make_controller(
     """Return a function that starts a controller with two cameras without slots; it is closed at the end."""
     started: list[SimulatedController] = []
 
-    def make(boards: int = 0, interlock: bool = False) -> tuple[SimulatedController, TriggerPlan, EventQueue]:
+    def make(
+        boards: int = 0, interlock: bool = False, smema: Smema | None = None
+    ) -> tuple[SimulatedController, TriggerPlan, EventQueue]:
         config, events = make_config(), SimpleQueue[Any]()
         assert config.simulation is not None
         twin = Twin(read_scenario(config.simulation.scenario))
         cameras = tuple(SimulatedCamera(n, CLOCK, 500.0) for n in range(2))
-        started.append(SimulatedController(twin, cameras, boards, 0.0, interlock))
+        started.append(SimulatedController(twin, cameras, boards, 0.0, interlock, smema))
         started[0].start(events)
         return started[0], TriggerPlan.of(twin.line), events
 
@@ -106,6 +114,23 @@ def test_a_conveyor_with_an_interlock_lets_one_board_in_for_each_permit(make_con
     assert not passed(events, 0.1), "it is used up"
     controller.permit_board(Permit(2, valid_s))
     assert passed(events)
+
+
+def test_the_line_of_the_twin_announces_boards_and_takes_what_is_offered(make_controller: Make) -> None:
+    controller, plan, events = make_controller(boards=1, smema=Smema(sides="both"))
+    controller.arm(plan)
+    announced = AnnouncedBoards()
+    while not isinstance(event := events.get(timeout=20.0), BarrierBlocked):
+        if isinstance(event, ContactsChanged):
+            announced.follow(event)
+    announced.follow(event)
+    assert announced.take_came() == "announced"
+    controller.offer_board(BoardOffer(7, failed=True, until_s=time.monotonic() + 1e3, exit_s=(0.1, 1.0)))
+    contacts = controller.contacts()
+    assert contacts is not None
+    assert contacts.offered_failed
+    time.sleep(0.11)
+    assert controller.contacts() == Contacts(next_ready=True, taken=7)
 
 
 Start = Callable[[StationConfig], Any]

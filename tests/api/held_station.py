@@ -49,6 +49,7 @@ from vaoi_station.runs.states.schemas import (
     CameraRecoveryStatus,
     CameraStatus,
     ComponentSummary,
+    ContactsStatus,
     EventRecord,
     LeaseStatus,
     ProcessStatus,
@@ -104,6 +105,7 @@ class HeldStation(StationCoordinator):
         self.references, self.methods = dict[str, ReferenceStatus](), dict[str, MethodName]()
         self.kept, self.storage = HeldPins(self), HeldStorage(self)  # type: ignore[assignment]
         self.broken = self.closed = False
+        self.contacts_shown: ContactsStatus | None = None
         self.lights: tuple[str, ...] = ()
         self.orders = held_orders(self.board_type)
         self.lighting = HeldLighting(self)  # type: ignore[assignment]
@@ -216,6 +218,14 @@ class HeldStation(StationCoordinator):
     def _lost_cameras(self) -> tuple[Reason, ...]:
         text = "Camera cam{} is not connected."
         return tuple(Reason(code="camera-lost", message=text.format(k), action="Check its cable.") for k in self.lost)
+
+    def contacts(self) -> ContactsStatus | None:
+        return self.contacts_shown
+
+    def take_board_out(self, board: str) -> None:
+        shown = self.contacts_shown
+        assert shown is not None
+        self.contacts_shown = shown.model_copy(update={"boards": tuple(b for b in shown.boards if b.name != board)})
 
     def arm(
         self,

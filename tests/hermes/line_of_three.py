@@ -183,6 +183,10 @@ class QueuedOrders:
     def board_of_run(self, run: str) -> LineBoard | None:
         return self._queue.board_of_run(run)
 
+    def came_failed(self, run: str) -> bool:
+        board = self._queue.board_of_run(run)
+        return board is not None and board.failed == "bad"
+
 
 class Upstream(End):
     """Has the boards; revokes, finishes late or not at all."""

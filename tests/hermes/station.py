@@ -29,6 +29,7 @@ class GivenOrders:
         self.announced: LineBoard | None = None
         self.gap: list[LineBoard] = []
         self.of_run: dict[str, LineBoard] = {}
+        self.bad_by_contacts: set[str] = set()
         self.calls: list[str] = []
 
     def by_messages(self, on: bool) -> None:
@@ -64,6 +65,9 @@ class GivenOrders:
         if run not in self.of_run and self.gap:
             self.of_run[run] = self.gap.pop(0)
         return self.of_run.get(run)
+
+    def came_failed(self, run: str) -> bool:
+        return run in self.bad_by_contacts
 
 
 class PlayedStation:

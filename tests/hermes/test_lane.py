@@ -382,3 +382,13 @@ def test_what_is_kept_has_boards_that_are_filmed_and_doubts_the_one_that_leaves(
         ("run-1", False, True),
         ("run-2", False, False),
     ]
+
+
+def test_a_board_that_is_bad_by_contact_is_passed_on_as_bad_whatever_the_message_says(played: Played) -> None:
+    for side in ROLES:
+        played.connect(side)
+    played.orders.bad_by_contacts = {"run-1", "run-2"}
+    played.comes_in("b1", FailedBoard=1)
+    played.film("run-1")
+    played.film("run-2")
+    assert [(b.announced, b.values["FailedBoard"]) for b in played.lane.waiting] == [(True, "2"), (False, "2")]

@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import ctypes
+import time
 from dataclasses import replace
 
 import pytest
 
 from tests.hw.emulated.chip import Chip
+from tests.hw.emulated.host import PLAN, Host
 from tests.hw.emulated.line import HZ, Line
+from tests.hw.emulated.paced import PacedChip
+from tests.hw.emulated.vectors import IDENT
 from tests.hw.test_logic import talk
-from vaoi_station.acquisition.controller.interface import BoardOffer, Contacts
-from vaoi_station.acquisition.controller.protocol import Kind, Nak, Reason, Request, Type, contacts_of, offer
+from vaoi_station.acquisition.controller.interface import BarrierBlocked, BoardOffer, Contacts, ContactsChanged
+from vaoi_station.acquisition.controller.protocol import (
+    Kind,
+    Nak,
+    Reason,
+    Request,
+    Type,
+    check_contacts,
+    check_interlock,
+    contacts_of,
+    offer,
+)
+from vaoi_station.errors import DeviceError
 
 AVAILABLE, FAILED, NEXT_READY = "PC3", "PC4", "PC5"
 OFFERED, OFFERED_FAILED = "PC1", "PC2"
@@ -80,6 +95,14 @@ def test_contacts_are_reported_only_to_a_host_that_asks(chip: Chip) -> None:
     switch(line, AVAILABLE, CLOSED)
     assert not line.events(Kind.CONTACTS)
     assert line.status().closed.available
+
+
+def test_a_host_that_starts_again_gets_the_present_levels(line: Line) -> None:
+    switch(line, FAILED, CLOSED)
+    before = len(changes(line))
+    line.request(offer(None, 0))
+    line.run(3)
+    assert changes(line)[before:] == [Contacts(failed=True)]
 
 
 def test_a_board_is_offered_until_the_next_machine_has_taken_it(line: Line) -> None:
@@ -186,3 +209,34 @@ def test_an_offer_out_of_range_is_refused(logic: ctypes.CDLL) -> None:
     assert [(nak.reason, nak.field, nak.limit) for nak in naks] == [
         (Reason.RANGE, 0, 1000), (Reason.RANGE, 1, 0x30), (Reason.RANGE, 2, 1000),
     ]  # fmt: skip
+
+
+# --- the station's controller on the chip at the pace of the clock
+
+
+def test_the_station_gets_changes_in_their_order_and_offers_a_board(paced: PacedChip) -> None:
+    host = Host(paced, contacts=True)
+    try:
+        assert host.next(ContactsChanged).contacts == Contacts()
+        host.controller.arm(PLAN)
+        paced.do("pin PC4 0")
+        assert host.next(ContactsChanged).contacts.failed
+        paced.do("pin PB0 1")
+        host.next(BarrierBlocked)
+        host.controller.offer_board(replace(GOOD, until_s=time.monotonic() + 60.0, exit_s=(0.0, 30.0)))
+        assert host.next(ContactsChanged).contacts.offered
+        paced.do("pin PC5 0")
+        paced.rest(100)
+        paced.do("pin PC5 1")
+        while host.next(ContactsChanged).contacts.taken != GOOD.number:
+            pass
+        assert "contacts closed: failed board available" in host.controller.health()
+    finally:
+        host.controller.close()
+
+
+def test_firmware_without_contacts_is_refused_only_if_they_are_used() -> None:
+    before = replace(IDENT, minor=3)
+    check_interlock(before)
+    with pytest.raises(DeviceError, match="no contacts for IPC-SMEMA-9851"):
+        check_contacts(before)

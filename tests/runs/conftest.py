@@ -23,7 +23,7 @@ from vaoi_station.drift.checks import CameraCheck, RunCheck
 from vaoi_station.errors import NotFoundError
 from vaoi_station.files import write_board_type
 from vaoi_station.files.results import stitch_text, without_components
-from vaoi_station.line_config import Line
+from vaoi_station.line_config import Line, Smema
 from vaoi_station.model import (
     BoardType,
     Calibration,
@@ -85,7 +85,13 @@ def a_calibration(cameras: int = 2) -> Calibration:
 
 
 def a_config(
-    directory: Path, runs: int = 3, cameras: int = 2, keep_s: float = 0.0, lock: str = "off", name: str = "test"
+    directory: Path,
+    runs: int = 3,
+    cameras: int = 2,
+    keep_s: float = 0.0,
+    lock: str = "off",
+    name: str = "test",
+    smema: Smema | None = None,
 ) -> StationConfig:
     (directory / "ring").mkdir(exist_ok=True)
     config = StationConfig(
@@ -107,7 +113,8 @@ def a_config(
         ring=RingConfig(directory=directory / "ring", runs=runs).model_copy(update={"keep_s": keep_s}),
         keep=KeepConfig(mosaics_gb=0.0),  # the workers of these tests render nothing
     )  # fmt: skip
-    return config.model_copy(update={"controller": config.controller.model_copy(update={"interlock": lock})})
+    controller = config.controller.model_copy(update={"interlock": lock})
+    return config.model_copy(update={"controller": controller, "smema": smema})
 
 
 def a_head(rows: int, missing: tuple[tuple[int, int], ...] = ()) -> RecordingHead:

@@ -21,6 +21,9 @@ from vaoi_station.acquisition.clocks import ClockReading, DeviceClock, simulated
 from vaoi_station.acquisition.controller.filming_plan import filming_plan, require_none, unknown_lights
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    BoardOffer,
+    Contacts,
+    ContactsChanged,
     Controller,
     ControllerEvent,
     ControllerLimits,
@@ -36,6 +39,7 @@ from vaoi_station.acquisition.devices import Devices
 from vaoi_station.acquisition.pairing.evidence import MAX_FRAME_ID
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import InputError, InternalError, StateError, VaoiError
+from vaoi_station.line_config import Smema
 from vaoi_station.model.recording import linear_gain, row_of
 from vaoi_station.simulation import Passage, Scenario, Twin, calibration_board, read_scenario
 from vaoi_station.simulation.board.kept_artwork import kept_or_drawn
@@ -195,11 +199,17 @@ class SimulatedController(Controller):
         boards: int,
         interval_s: float,
         interlock: bool = False,
+        smema: Smema | None = None,
     ) -> None:
         """Prepare to let `boards` boards pass, any number if it is 0, at least `interval_s` apart."""
         self._twin, self._cameras, self._clock = twin, cameras, simulated_clock(-1)
         self._scenario_plan = self._plan = scenario_plan(twin)
         self._boards, self._interval_s, self._interlock = boards, interval_s, interlock
+        self._smema = smema
+        self._offer: BoardOffer | None = None
+        self._offered_s = -math.inf
+        self._taken = 0
+        self._reported: Contacts | None = None
         self._permit: Permit | None = None
         self._spent: int | None = None
         self._change = threading.Condition()
@@ -281,13 +291,34 @@ class SimulatedController(Controller):
             return LineOutput(False, "the controller is not armed, or a board is being filmed")
         return LineOutput(True) if self._permitted() else LineOutput(False, "the station does not permit a board")
 
+    def offer_board(self, offer: BoardOffer | None) -> None:
+        """Offer a board to a next machine that takes each one after the shortest exit time."""
+        with self._change:
+            if offer is None or self._offer is None or offer.number != self._offer.number:
+                self._offered_s = time.monotonic()
+            self._offer = offer
+
+    def contacts(self) -> Contacts | None:
+        """Return the contacts of the simulated neighbours, whose boards are never failed ones."""
+        if self._smema is None:
+            return None
+        offer, both = self._offer, self._smema.sides == "both"
+        if offer is not None and time.monotonic() - self._offered_s > offer.exit_s[0]:
+            self._taken = offer.number
+        offered = offer is not None and offer.number != self._taken
+        failed = offered and offer is not None and offer.failed
+        available = not self._passing and any(board.ready for board in [*self._ready][:1])
+        return Contacts(available, False, both, offered and not failed, failed, self._taken)
+
     def limits(self) -> ControllerLimits:
         """Return the lights of the scenario; there are no other limits."""
         return ControllerLimits(lights=tuple(self._twin.scenario.lights))
 
     def health(self) -> str:
         """Return a sentence with the state and the number of boards so far."""
-        return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen"
+        contacts = self.contacts()
+        closed = f", contacts closed: {contacts.closed}" if contacts is not None else ""
+        return f"simulated: {'armed' if self._rule else 'idle'}, {self._runs} boards seen{closed}"
 
     def threads(self) -> tuple[SupervisedThread, ...]:
         """Return the threads of controller and line."""
@@ -344,6 +375,8 @@ class SimulatedController(Controller):
                 self._passing = False
                 self._change.notify_all()
             self._events.put(event)
+        if any(isinstance(event, RunEnded) for event in events):
+            self._report_contacts()
 
     def _wait_s(self) -> float | None:
         if self._rule is None:
@@ -443,6 +476,8 @@ class SimulatedController(Controller):
             number, plan = self._prepared, self._plan
         if newest is not None and not newest.ready:
             newest.render_one()
+            with self._change:
+                self._report_contacts()
             return
         board = SimulatedBoard(self._twin.passage(number), plan, len(self._cameras))
         with self._change:
@@ -460,7 +495,14 @@ class SimulatedController(Controller):
             self._start_s = self._clock.device_s(now_s + LEAD_S)
             self._next_host_s = now_s + self._interval_s
             self._edges.extend((self._start_s + t, blocked) for t, blocked in self._board.edges)
+            self._report_contacts()
             self._change.notify_all()
+
+    def _report_contacts(self) -> None:
+        contacts = self.contacts()
+        if contacts is not None and contacts != self._reported:
+            self._reported = contacts
+            self._events.put(ContactsChanged(next(self._numbers), self._clock.now_s(), contacts))
 
     def _wait(self) -> None:
         with self._change:
@@ -477,7 +519,8 @@ def open_simulated(config: StationConfig) -> Devices:
     _check(twin.scenario, config)
     cameras = tuple(SimulatedCamera(n, simulated_clock(n), c.exposure_us) for n, c in enumerate(config.cameras))
     simulation, interlock = config.simulation, config.controller.interlock == "on"
-    return Devices(cameras, SimulatedController(twin, cameras, simulation.boards, simulation.interval_s, interlock))
+    line = simulation.boards, simulation.interval_s, interlock, config.smema
+    return Devices(cameras, SimulatedController(twin, cameras, *line))
 
 
 def scenario_plan(twin: Twin) -> TriggerPlan:

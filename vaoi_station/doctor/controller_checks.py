@@ -31,6 +31,7 @@ from vaoi_station.acquisition.controller.protocol import (
     State,
     Status,
     Type,
+    check_contacts,
     check_ident,
     check_interlock,
     number_request,
@@ -90,6 +91,8 @@ def controller(context: CheckContext) -> Iterator[Finding]:
     yield judge_limits(reply.ident, context.config)
     if settings.interlock == "on":
         yield judge_interlock(reply.ident)
+    if context.config.smema is not None:
+        yield judge_contacts(reply.ident, reply.status)
     if context.config.line.by_encoder:
         yield judge_encoder(reply, context.config.line)
     yield judge_status(reply.status)
@@ -217,6 +220,17 @@ def judge_interlock(ident: Ident) -> Finding:
         return fault(error.code, error.message, error.action, "interlock")
     message = f"the output 'line ready' falls at most {ident.ready_longest_ms} ms after the station is gone"
     return ok(message, "interlock", ready_longest_ms=ident.ready_longest_ms)
+
+
+def judge_contacts(ident: Ident, status: Status) -> Finding:
+    """Check that the firmware has the contacts of [smema], and report which of them are closed."""
+    try:
+        check_contacts(ident)
+    except DeviceError as error:
+        return fault(error.code, error.message, error.action, "contacts")
+    closed = status.closed
+    figures: Figures = {"available": closed.available, "failed": closed.failed, "next_ready": closed.next_ready}
+    return ok(f"closed: {closed.closed}", "contacts", **figures)
 
 
 def judge_status(status: Status) -> Finding:

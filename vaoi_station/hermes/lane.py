@@ -69,6 +69,9 @@ class LineOrders(Protocol):
     def board_of_run(self, run: str, /) -> LineBoard | None:
         """Return the announced board of a run; None if there is none, or it is not certain."""
 
+    def came_failed(self, run: str, /) -> bool:
+        """Return whether the board of a run came as a failed one, by messages or by contacts."""
+
 
 def announce(orders: LineOrders, config: Hermes, message: Message, publish: Callable[..., Any]) -> tuple[Reason, ...]:
     """Announce the board of a BoardAvailable or BoardForecast to the queue of orders, and return why it must wait.
@@ -318,7 +321,10 @@ class Lane:
                 "trouble", text, code="board-id-twice", action="Identify both boards; check the machine upstream."
             )
         elif known is not None and isinstance(known.details, Message):
-            return Inside(known.board_id, known.details.board(), known.details.parts, run, announced=True)
+            values = dict(known.details.board())
+            if run is not None and self.orders.came_failed(run):
+                values["FailedBoard"] = "2"  # by contacts: a bad board stays bad, whatever the message said
+            return Inside(known.board_id, values, known.details.parts, run, announced=True)
         return self._own(run, known)
 
     def to_keep(self) -> tuple[Inside, ...]:
@@ -334,7 +340,7 @@ class Lane:
         own = str(uuid.uuid5(_OWN_IDS, f"{self.machine}/{run}") if run is not None else uuid.uuid4())
         # It may be any of those that came: if one of them is bad, it must not pass as one that may be good.
         bad = (known is not None and known.failed == "bad") or any(c.get("FailedBoard") == "2" for c in self._came)
-        failed = "2" if bad else "0"
+        failed = "2" if bad or (run is not None and self.orders.came_failed(run)) else "0"
         values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": failed, "FlippedBoard": "0"}
         return Inside(own, values, {}, run, announced=False)
 

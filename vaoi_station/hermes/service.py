@@ -46,6 +46,7 @@ from vaoi_station.line_config import Hermes
 from vaoi_station.model import Reason
 from vaoi_station.runs.archive.event_log import EventLog
 from vaoi_station.runs.states.run_ids import utc
+from vaoi_station.runs.states.schemas import ContactsStatus
 from vaoi_station.supervised_thread import SupervisedThread
 
 _log = logging.getLogger(__name__)
@@ -129,8 +130,8 @@ class LineStatus(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     lane: int
-    role: Literal["inline", "tap", "none"]
-    """`none`: station.toml has no table [hermes]."""
+    role: Literal["inline", "tap", "none", "contacts"]
+    """`contacts`: station.toml has no table [hermes], but [smema]; `none`: neither."""
     neighbours: tuple[Neighbour, ...]
     boards: tuple[BoardInside, ...]
     """The boards that wait for the next machine, the first one first."""
@@ -138,6 +139,8 @@ class LineStatus(BaseModel):
     """Why the machine upstream is not asked for the next board."""
     messages: tuple[LineMessage, ...]
     """The latest messages, newest last."""
+    contacts: ContactsStatus | None = None
+    """The neighbours by the contacts of IPC-SMEMA-9851; None without a table [smema]."""
 
 
 NO_LINE = LineStatus(lane=0, role="none", neighbours=(), boards=(), held=(), messages=())

@@ -11,7 +11,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from vaoi_station.config import TABLE_OF, CameraConfig, ControllerConfig, StationConfig, conflicts
 from vaoi_station.files.documents import UNKNOWN_KEY, Place, faults_of, key_at
-from vaoi_station.line_config import Hermes, Line
+from vaoi_station.line_config import Hermes, Line, Smema
 from vaoi_station.settings.keys import keys
 
 T = TypeVar("T", bound=BaseModel)
@@ -50,7 +50,8 @@ def examine(data: dict[str, Any]) -> tuple[list[Fault], dict[str, Any]]:
     sound = [camera for c in cameras if (camera := _known(CameraConfig, c)) is not None]
     controller = _known(ControllerConfig, data.get("controller", {}))
     line, hermes = _known(Line, data.get("line")), _known(Hermes, data.get("hermes"))
-    between = [*conflicts(sound, controller, data.keys() & set(TABLE_OF.values()), line, hermes)]
+    smema = _known(Smema, data.get("smema"))
+    between = [*conflicts(sound, controller, data.keys() & set(TABLE_OF.values()), line, hermes, smema)]
     if between:
         # It is not clear which devices are meant, so the inputs of simulated or replayed devices are not checked.
         valid.pop("controller", None)

@@ -13,6 +13,8 @@ from vaoi_station.acquisition.cameras.interface import Arrival, CameraExposure, 
 from vaoi_station.acquisition.clocks import ClockModel, ClockReading
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
+    Contacts,
+    ContactsChanged,
     PulseFired,
     RunEnded,
     TriggerPlan,
@@ -269,3 +271,16 @@ def test_a_refused_pulse_leaves_its_grant_to_the_next(bench: SessionBench) -> No
     bench.session.fire_one(1.1)
     bench.pulse(1.1, 0)
     assert [r.run for r in bench.of(RunStarted)] == ["a"]
+
+
+@pytest.mark.parametrize("edge_reported", [True, False])
+def test_a_run_states_how_contacts_announced_its_board(bench: SessionBench, edge_reported: bool) -> None:
+    """Also if the report of its edge was lost: a board that was announced as bad stays bad."""
+    bench.session.grant(Grant("a", 0))
+    bench.session.arm(bench.plan)
+    for at_s, contacts in ((1.0, Contacts()), (2.0, Contacts(failed=True)), (3.0, Contacts())):
+        bench.session.handle_event(ContactsChanged(0, at_s, contacts), at_s)
+    if edge_reported:
+        bench.session.handle_event(BarrierBlocked(0, 9.9), 9.9)
+    bench.pulse(10.0, 0)
+    assert [report.came for report in bench.of(RunStarted)] == ["failed"]

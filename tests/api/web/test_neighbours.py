@@ -10,6 +10,7 @@ from playwright.sync_api import Page, expect
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
 from tests.hermes.station import PlayedStation, free_port
+from vaoi_station.runs.states.schemas import BoardBehind, ContactsStatus
 
 
 @pytest.mark.browser
@@ -40,5 +41,27 @@ def test_a_station_without_neighbours_shows_none(page: Page) -> None:
         with page.expect_response("**/api/v1/neighbours"):
             page.goto(served.url)
         expect(page.locator("#neighbours")).to_be_hidden()
+    finally:
+        served.stop()
+
+
+@pytest.mark.browser
+def test_contacts_show_why_nothing_moves_and_a_board_that_a_person_took_out(page: Page) -> None:
+    page.set_viewport_size({"width": 1920, "height": 1080})
+    station = HeldStation()
+    board = BoardBehind(name="r000001", failed=True)
+    station.contacts_shown = ContactsStatus(
+        known=True, available=True, failed=False, next_ready=False, offered="failed", boards=(board,)
+    )
+    served = Served(station)
+    try:
+        page.goto(served.url)
+        expect(page.locator("#neighbour-list")).to_contain_text("upstream (SMEMA): a board waits")
+        expect(page.locator("#neighbour-list")).to_contain_text("not ready, offered as failed")
+        waiting = page.locator("#waiting-boards")
+        expect(waiting).to_contain_text("r000001 waits for the next machine, as a failed board")
+        waiting.get_by_role("button").click()
+        waiting.get_by_role("button").click()
+        expect(waiting).to_be_empty()
     finally:
         served.stop()

@@ -22,13 +22,20 @@ E = TypeVar("E")
 class Host:
     """A controller and its events, in order; its clock is modelled as the acquisition process does."""
 
-    def __init__(self, chip: PacedChip) -> None:
+    def __init__(self, chip: PacedChip, *, contacts: bool = False) -> None:
         self.chip = chip
         self.clock = ClockModel("controller")
         self.seen: list[object] = []
         self._events: EventQueue = SimpleQueue()
         self.controller = SerialController(
-            ControllerConfig(backend="serial", port=str(chip.link), lights=LIGHTS, order=("top", "low", "top"))
+            ControllerConfig(
+                backend="serial",
+                port=str(chip.link),
+                lights=LIGHTS,
+                order=("top", "low", "top"),
+                interlock="on" if contacts else "off",
+            ),
+            contacts=contacts,
         )
         self.controller.start(self._events)
         for _ in range(8):

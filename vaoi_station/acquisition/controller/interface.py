@@ -176,6 +176,13 @@ class Contacts(NamedTuple):
     taken: int = 0
     """Number of the board that the next machine has taken last; 0: none since the controller's start."""
 
+    @property
+    def closed(self) -> str:
+        """The contacts that are closed, in words."""
+        offers = "board offered", "failed board offered"
+        names = "board available", "failed board available", "next machine ready", *offers
+        return ", ".join(name for name, is_closed in zip(names, self, strict=False) if is_closed) or "none"
+
 
 @dataclass(frozen=True)
 class ControllerEvent:

@@ -28,7 +28,7 @@ def _open_hardware(config: StationConfig) -> Devices:
     from vaoi_station.acquisition.controller.serial import SerialController
 
     # The controller is opened first: it fails at once, while an absent camera is noticed only after seconds.
-    controller = SerialController(config.controller)
+    controller = SerialController(config.controller, contacts=config.smema is not None)
     try:
         return Devices(open_aravis_cameras(config), controller)
     except BaseException:  # also KeyboardInterrupt: free the port for the next attempt, then raise it again

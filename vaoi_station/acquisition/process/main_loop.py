@@ -36,6 +36,7 @@ from vaoi_station.acquisition.process.messages import (
     FireTrial,
     Grant,
     Health,
+    OfferBoard,
     PermitBoard,
     Ready,
     ReplaceCamera,
@@ -136,7 +137,7 @@ def run_acquisition(
 
 _DISARMED = object()
 """A marker in the inbox: all events from before the controller was disarmed are in front of it."""
-_Command = Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard | ReplaceCamera
+_Command = Grant | Arm | FireOne | FireTrial | EndTrial | Disarm | PermitBoard | OfferBoard | ReplaceCamera
 
 
 @dataclass(frozen=True)
@@ -266,6 +267,7 @@ class _MainLoop:
         elif isinstance(item, DeviceFault):
             if item.error.code == "events-lost":
                 self._passage.forget_barrier()
+            self._session.announced.lose(item.error.code)
             self._send(trouble_report(item.error, item.device))
             self._health_is_due = True
         elif isinstance(item, ClockReading):
@@ -282,6 +284,8 @@ class _MainLoop:
             self._session.grant(command)
         elif isinstance(command, PermitBoard):
             self._devices.controller.permit_board(command.permit)
+        elif isinstance(command, OfferBoard):
+            self._devices.controller.offer_board(command.offer)
         elif isinstance(command, ReplaceCamera):
             self._session.note_serial(command.camera, command.serial)
             self._devices.cameras[command.camera].replace(command.serial, command.address)
@@ -370,6 +374,7 @@ class _MainLoop:
             now_s,
             controller_ready=controller.is_watching(),
             line_output=controller.line_output(),
+            contacts=controller.contacts(),
             passing=self._passage.passing,
             belt_stopped=self._passage.belt_stopped(now_s),
             limits=controller.limits(),

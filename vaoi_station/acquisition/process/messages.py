@@ -8,7 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from vaoi_station.acquisition.cameras.interface import CameraExposure, CameraHealth
-from vaoi_station.acquisition.controller.interface import ControllerLimits, LineOutput, Permit, TriggerPlan
+from vaoi_station.acquisition.controller.announced import Came
+from vaoi_station.acquisition.controller.interface import (
+    BoardOffer,
+    Contacts,
+    ControllerLimits,
+    LineOutput,
+    Permit,
+    TriggerPlan,
+)
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.acquisition.pairing.run_record import Interruption
 from vaoi_station.model import FrameRecord, Pulse, RecordingHead
@@ -39,6 +47,13 @@ class PermitBoard:
     """Let the controller's output "line ready" permit one board; without a permit it holds boards back."""
 
     permit: Permit | None
+
+
+@dataclass(frozen=True)
+class OfferBoard:
+    """Offer a board to the next machine by contacts, or with None no board."""
+
+    offer: BoardOffer | None
 
 
 @dataclass(frozen=True)
@@ -75,7 +90,7 @@ class Shutdown:
     """Close cameras and controller, and end the process."""
 
 
-Command = Grant | Arm | Disarm | PermitBoard | FireOne | FireTrial | EndTrial | ReplaceCamera | Shutdown
+Command = Grant | Arm | Disarm | PermitBoard | OfferBoard | FireOne | FireTrial | EndTrial | ReplaceCamera | Shutdown
 
 
 @dataclass(frozen=True)
@@ -106,6 +121,8 @@ class RunStarted:
     host_time_s: float
     edge_known: bool = True
     """Whether that time is known. If not, the report of the edge was lost, and nothing shows which board it is."""
+    came: Came | None = None
+    """How contacts of the machine upstream announced the board; None without such contacts."""
 
 
 @dataclass(frozen=True)
@@ -171,6 +188,7 @@ class Health:
     host_time_s: float
     controller_ready: bool = True
     line_output: LineOutput | None = None
+    contacts: Contacts | None = None
     passing: bool = False
     """Whether a run is under way at the controller, also before its first pulse, or a board is in the barrier."""
     belt_stopped: bool = False

@@ -14,6 +14,7 @@ from vaoi_station.acquisition.controller.interface import (
     BarrierClearAfterRun,
     BarrierEdge,
     BoardTooSoon,
+    ContactsChanged,
     ControllerEvent,
     PulseFired,
     PulseSkipped,
@@ -180,8 +181,10 @@ class PassageWatch:
         self._blocked = self._blocked and self._row_s is not None
 
     def add(self, event: ControllerEvent, now_s: float) -> bool:
-        """Evaluate an event; return whether it changed `passing` or `standing`."""
+        """Evaluate an event; return whether it changed `passing`, `standing` or contacts of neighbours."""
         before = self.passing, self.standing
+        if isinstance(event, ContactsChanged):
+            return True
         if self._plan is None:
             return False
         if not isinstance(event, RunEnded | BarrierBounce):

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 
 from vaoi_station.acquisition.cameras.interface import Arrival, is_silent
 from vaoi_station.acquisition.clocks import ClockModel
+from vaoi_station.acquisition.controller.announced import AnnouncedBoards
 from vaoi_station.acquisition.controller.filming_plan import exposures_of, link_faults, require_none, time_faults
 from vaoi_station.acquisition.controller.interface import (
     BarrierBlocked,
@@ -94,6 +95,7 @@ class Session:
         self._outdated_until_s = -math.inf
         """Host time before which events are outdated: they belong to a run or pulse that was given up."""
         self._passages = Passages(controller_clock)
+        self.announced = AnnouncedBoards()
         self._disarming = False
         self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self.plan is not None)
 
@@ -148,6 +150,7 @@ class Session:
         require_none([*time_faults(plan, self._config), *link_faults(plan, row_s)])
         self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self.plan:
+            self.announced.forget()
             if self._run is not None:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
             before, self.plan = self.plan, None
@@ -208,6 +211,7 @@ class Session:
     def handle_event(self, event: ControllerEvent, now_s: float) -> None:
         """Record an event of the controller (barrier, pulse, end of a run) in the run to which it belongs."""
         self._recorder.note_controller_time(event.time_s)
+        self.announced.follow(event)
         self.sequences.follow(event, self.plan)
         if self._is_outdated(event):
             return
@@ -294,7 +298,8 @@ class Session:
         else:
             self._devices.feedback.set_memory(False)
             self._run = self._recorder.begin_run(grant.run, grant.bay, period_s)
-            self._send(RunStarted(grant.run, grant.bay, edge_s, known))
+            came = None if plan is None else self.announced.take_came()
+            self._send(RunStarted(grant.run, grant.bay, edge_s, known, came))
         self._run.skipped, self._skipped = self._skipped, {}
         if plan is not None:
             self._run.program, self._run.conveyor_mm_s = plan.program, plan.conveyor_mm_s

@@ -1,4 +1,4 @@
-"""Routes under `neighbours`: the machines beside the station that speak IPC-HERMES-9852, and their boards."""
+"""Routes under `neighbours`: the machines beside the station, by messages and by contacts, and their boards."""
 
 from __future__ import annotations
 
@@ -11,30 +11,50 @@ from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import StateError
 from vaoi_station.hermes.service import NO_LINE, LineStatus
 
+_BOARD = "Id of a board of `boards`, or name of one of `contacts.boards`."
+
 
 def router(services: Services) -> APIRouter:
     """Create the routes for the neighbours."""
     routes = rest_router(prefix="/neighbours", tags=["station"])
     ask = services.commands.ask
 
+    async def status() -> LineStatus:
+        told = NO_LINE if services.line is None else services.line.status()
+        contacts = await ask(services.coordinator.contacts)
+        role = "contacts" if contacts is not None and told.role == "none" else told.role
+        return told.model_copy(update={"contacts": contacts, "role": role})
+
     @routes.get("")
     async def get_neighbours() -> LineStatus:
         """Return the neighbours in the line, the boards that wait for the next machine, and the latest messages.
 
-        `role` is `none`, and everything else empty, if station.toml has no table [hermes].
+        `contacts` has the contacts of IPC-SMEMA-9851, and the boards that are offered by them. `role` is `none`, and
+        everything else empty, if station.toml has neither a table [hermes] nor [smema].
         """
-        return NO_LINE if services.line is None else services.line.status()
+        return await status()
 
     @routes.delete("/boards/{board_id:path}")
     async def remove_board(
-        board_id: Annotated[str, Path(description="Id of a board of `boards`.", min_length=1, max_length=1000)],
+        board_id: Annotated[
+            str,
+            Path(
+                description="Id of a board of `boards`, or name of one of `contacts.boards`.",
+                min_length=1,
+                max_length=1000,
+            ),
+        ],
     ) -> LineStatus:
         """State that a board is out of the station: it was taken off behind the cameras, or the next machine has it.
 
         It is not offered to the next machine any more. 409: no such board waits, or it is on its way.
         """
-        if services.line is None:
-            raise StateError("The station has no neighbours.", action="Write the table [hermes] (docs/line.md).")
-        return await ask(services.line.remove, board_id)
+        if (contacts := await ask(services.coordinator.contacts)) is not None and contacts.next_ready is not None:
+            await ask(services.coordinator.take_board_out, board_id)
+        elif services.line is None:
+            raise StateError("The station has no neighbours.", action="Write [hermes] or [smema] (docs/line.md).")
+        else:
+            await ask(services.line.remove, board_id)
+        return await status()
 
     return routes

@@ -50,6 +50,7 @@ from vaoi_station.runs.run.run_views import detail_of
 from vaoi_station.runs.states.schemas import (
     CalibrationStatus,
     ComponentSummary,
+    ContactsStatus,
     EventRecord,
     ImageFormat,
     LeaseStatus,
@@ -184,6 +185,15 @@ class StationCoordinator(BoardTypeRequests):
     def snapshot(self) -> StationSnapshot:
         """Return state, health, memory and versions of the station at this moment."""
         return self.kept.with_counts(self._inbox.ask(self._snapshot))
+
+    def contacts(self) -> ContactsStatus | None:
+        """Return the neighbours by their contacts; None without a table [smema] in station.toml."""
+        core = self._core
+        return self._inbox.ask(lambda: core.contacts.status(core.health.contacts if core.health is not None else None))
+
+    def take_board_out(self, board: str) -> None:
+        """Take that a board was taken out behind the cameras; `StateError` if contacts do not offer it."""
+        self._inbox.ask(lambda: self._core.contacts.remove(board))
 
     def arm(
         self,

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import assert_never
 
+from vaoi_station.acquisition.controller.announced import Came
 from vaoi_station.acquisition.process import messages
 from vaoi_station.config import StationConfig
 from vaoi_station.errors import StateError, VaoiError
@@ -28,6 +29,7 @@ from vaoi_station.runs.archive.finished_runs import Archive
 from vaoi_station.runs.control import readiness
 from vaoi_station.runs.control.calibration_watch import CalibrationWatch
 from vaoi_station.runs.control.camera_places import CameraPlaces
+from vaoi_station.runs.control.contacts import LineContacts
 from vaoi_station.runs.control.line_control import Acquisition, Completion, LineControl
 from vaoi_station.runs.control.readiness import LinePermit
 from vaoi_station.runs.control.reasons import StationStateMachine, sentence
@@ -101,7 +103,8 @@ class Core:
         )
         if parts.resumed is not None:
             self.line.resume(parts.resumed)
-        self.boards = BoardAccount(config.line, self.line.orders, events.add)
+        self.contacts = LineContacts(config.smema, parts.acquisition.send, events.add)
+        self.boards = BoardAccount(config.line, self.line.orders, events.add, self.contacts.missed)
         self.active: dict[str, Progress] = {}
         """The runs that are filmed or stitched, in the order of their boards."""
         self._explaining: set[str] = set()
@@ -249,6 +252,7 @@ class Core:
             self.machine.reasons.expire()
         for run in self.memory.reclaim(self.active):
             self._events.add("trouble", "The run ended by a fault; its memory is free again.", run=run, code="store")
+            self.contacts.ended(run, failed=True)
         self.line.tick()
         self.line.keep_memory_granted()
         self._archive.tick()
@@ -369,10 +373,13 @@ class Core:
         order = self.line.take_grant(report.run, report.host_time_s)
         if order is None:
             self.machine.add_reason("unexpected-run", f"Run {report.run} was filmed without an order.", "")
+            self.contacts.missed(1, None)
             return
         bay = self.memory.use(report.run, "filming")
         self.machine.advance_if_allowed(StationStep.BOARD_ARRIVED)
         progress = self.active[report.run] = Progress.begin(report, bay, order)
+        progress.came = self._came(report)
+        self.contacts.began(report.run, progress.came)
         self.boards.begin(progress, edge_known=report.edge_known)
         progress.stitcher.start(self._parts.workers, lambda done: self._post(self.stitched, report.run, done))
         self._archive.begin(progress)
@@ -380,6 +387,14 @@ class Core:
         # The next board may follow closely and needs memory at once: its bay is granted while the present bay is
         # filled.
         self.line.keep_memory_granted()
+
+    def _came(self, report: messages.RunStarted) -> Came | None:
+        """Return how the line announced a board: by contacts, by messages, or both. A bad board stays bad."""
+        queue = self.line.orders.queue
+        if not queue.by_messages or report.came == "failed":
+            return report.came
+        named = queue.board_of_run(report.run)
+        return report.came if named is None else "failed" if named.failed == "bad" else "announced"
 
     def _on_run_finished(self, report: messages.RunFinished) -> None:
         progress = self.active.get(report.run)
@@ -433,6 +448,7 @@ class Core:
             del self.active[progress.run]
             self._parts.workers.close_run(progress.run)
             self._archive.finish(progress)
+            self.contacts.ended(progress.run, failed=self._leaves_as_failed(progress))
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()
             if (job := progress.explain_job()) is not None:
@@ -442,6 +458,13 @@ class Core:
                     done = partial(done, again=replace(job, again=(progress.stitcher.opening, conclusion)))
                 self._parts.workers.submit(job, partial(self._post, done, job))
             self._complete_stop_if_drained()
+
+    def _leaves_as_failed(self, progress: Progress) -> bool:
+        """Return whether the board of an ended run must not pass as a good one, for contacts, which name no board."""
+        queue = self.line.orders.queue
+        # Of a board that the messages do not name for certain, it is not known whether it is a bad one.
+        unnamed = queue.by_messages and queue.board_of_run(progress.run) is None
+        return progress.state is RunState.FAILED or progress.came == "failed" or unnamed
 
     def _complete_stop_if_drained(self) -> None:
         if not self.active and not self._explaining:

@@ -126,6 +126,10 @@ class OrderRequests:
         """Return the announced board that a run shows; None if that is not certain, or it was long ago."""
         return self._inbox.ask(lambda: self._core.line.orders.queue.board_of_run(run))
 
+    def came_failed(self, run: str) -> bool:
+        """Return whether contacts or messages of the machine upstream announced the board of a run as failed."""
+        return self._core.contacts.came_failed(run)
+
     def _refusals(self, lane: int) -> tuple[Reason, ...]:
         orders = self._core.line.orders
         return (*orders.queue.refusals(lane, orders.order), *self._held())

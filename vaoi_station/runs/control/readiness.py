@@ -22,7 +22,7 @@ from vaoi_station.store.storage_trouble import PASSING
 CODE = "camera-lost"
 NOT_READY = PASSING | {CODE, "workers-starting", "ring-full", "not-armed-again"}
 """Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
-_HOLDING = NOT_READY - PASSING - {CODE, "ring-full"} | {"thread-lost"}
+_HOLDING = NOT_READY - PASSING - {CODE, "ring-full"} | {"thread-lost", "boards-wait"}
 """Codes of warnings and faults that hold the next board back; those left out are found by themselves."""
 VALID_S = 1.0
 """Time for which a permit is valid after it was given or renewed, s. At the latest then, the output falls."""
@@ -91,7 +91,7 @@ _STANDING = Reason(
     message="A board has been in the light barrier since before the line was armed: it is not filmed.",
     action="Take it out and let it in again. If there is none, clean and align the barrier (vaoi doctor).",
 )
-EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped", "no-order"})
+EXPECTED = frozenset({"line-not-armed", "line-filming", "belt-stopped", "no-order", "boards-wait"})
 """Codes with which a board must wait although nothing is wrong."""
 
 

@@ -96,7 +96,7 @@ def line_held(
     state, orders = core.machine.state, core.line.orders
     order = orders.next
     # Only of an armed line is everything evaluated: this runs after every message while frames are being settled.
-    others = (*faults, *core.line.warnings())
+    others = (*faults, *core.line.warnings(), *core.contacts.held())
     if state is StationState.ARMED:
         others += worker_warnings(processes())
     facts = readiness.LineFacts(
@@ -118,6 +118,7 @@ def renew_permit(
     """Let the next board come, or hold it back. The coordinator's thread calls this after every message."""
     held = line_held(core, parts.config, processes, faults)
     core.permit.update(held, core.boards.reports, time.monotonic())
+    core.contacts.update(core.health.contacts if core.health else None, time.monotonic())
     if core.machine.state is StationState.ARMED:
         core.permit.publish([reason for reason in held if reason.code not in readiness.EXPECTED])
 

@@ -51,9 +51,19 @@ PositionMm = Callable[[float], float]
 class BoardAccount:
     """Counts the boards that were missed, and decides which board ids are certain. Used by the coordinator's thread."""
 
-    def __init__(self, line: Line, orders: Orders, publish: Callable[..., Any]) -> None:
-        """Begin without a missed board; `publish` has the signature of `EventLog.add`."""
-        self._line, self._orders, self._publish = line, orders, publish
+    def __init__(
+        self,
+        line: Line,
+        orders: Orders,
+        publish: Callable[..., Any],
+        missed: Callable[[int, str | None], object] = lambda _count, _run: None,
+    ) -> None:
+        """Begin without a missed board; `publish` has the signature of `EventLog.add`.
+
+        `missed` takes a number of boards without a run of their own, and the run behind whose board they passed; None:
+        they passed behind all boards so far.
+        """
+        self._line, self._orders, self._publish, self._passed = line, orders, publish, missed
         self.missed = 0
         """Count of boards that passed and were not filmed as a run."""
         self.reports = 0
@@ -150,6 +160,7 @@ class BoardAccount:
     def _miss(self, count: int, edge_s: float, now_s: float, reason: Reason, run: str | None = None) -> None:
         """Count missed boards; `edge_s` is the host time of the last one's edge."""
         self.missed += count
+        self._passed(count, run)
         for _ in range(count):  # one event for each: who follows the boards on the belt counts them
             self._publish("board-missed", reason.message, run=run, code=reason.code, action=reason.action)
         # This is published now: an order that comes later was given by a caller who could know of it.

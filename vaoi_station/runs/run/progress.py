@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from vaoi_station.acquisition.controller.announced import Came
 from vaoi_station.acquisition.process.messages import RunFinished, RunStarted
 from vaoi_station.config import StationConfig
 from vaoi_station.line_config import row_ways_mm
@@ -36,6 +37,8 @@ class Progress:
     """Time since which the order of the run has been in force."""
     id_doubted: bool = False
     """Whether the order's board id may belong to another board."""
+    came: Came | None = None
+    """How the line announced the board."""
     faults: list[Reason] = field(default_factory=list)
     """Reasons why the run is degraded or failed, other than missing or incomplete frames."""
     stitched: Stitched | None = None

@@ -84,6 +84,7 @@ def detail_of(progress: Progress) -> RunDetail:
         generation=progress.context.generation,
         unseen=tuple(Unseen(address=address, **figures) for address, figures in unseen.items()),
         skipped_boards=(stitch.skipped_boards or ()) if stitch else (),
+        came=progress.came,
         flip=order.flip,
         stored=False,  # Set by the archive, which has this information.
     )

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from vaoi_station.acquisition.controller.announced import Came
 from vaoi_station.acquisition.pairing.proof import TriggerProof
 from vaoi_station.config import MethodName
 from vaoi_station.model import BoardLimits, FrameRecord, PartLimits, Reason, Status, Strict
@@ -300,6 +301,32 @@ class LineOutputStatus(Strict):
     why: str = ""
 
 
+class BoardBehind(Strict):
+    """A board behind the cameras that contacts offer to the next machine."""
+
+    name: str
+    """Id of its run; of a board that was not filmed, a name for `DELETE neighbours/boards/…`."""
+    failed: bool
+    """Whether it is offered as a failed board."""
+
+
+class ContactsStatus(Strict):
+    """The neighbours by the contacts of IPC-SMEMA-9851."""
+
+    known: bool
+    """Whether the controller has reported the contacts; if not, all are shown as open."""
+    available: bool
+    """Whether the machine upstream has a board."""
+    failed: bool
+    """Whether the machine upstream has a failed board."""
+    next_ready: bool | None
+    """Whether the next machine takes a board; None if its contacts are not used."""
+    offered: Literal["none", "available", "failed"]
+    """Which contact to the next machine is closed."""
+    boards: tuple[BoardBehind, ...] = ()
+    """The boards that wait for the next machine, the first one first."""
+
+
 class StationSnapshot(Strict):
     """State of the station at one moment."""
 
@@ -459,6 +486,8 @@ class RunDetail(RunSummary):
     """Generation of that bay for this run; while the bay's table has another one, its pixels are of another run."""
     unseen: tuple[Unseen, ...] = ()
     skipped_boards: tuple[str, ...] = ()
+    came: Came | None = None
+    """How the line announced the board: `failed`, as a failed one; `by-hand`: not at all. None if nothing is known."""
     flip: FlipAxis | None = None
     """Axis of the tester about which the board was turned over since its other side was filmed, as its order states."""
 

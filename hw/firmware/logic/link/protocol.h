@@ -208,7 +208,7 @@ static_assert(sizeof(struct ready_request) == 4, "part of the protocol");
 
 /* Since 1.4: what the contacts to the next machine say of the board behind the cameras. */
 struct WIRE offer_request {
-    uint16_t board;    /* its number, another one for each board, from 1; one that was taken is not offered again */
+    uint16_t board;    /* its number, another one for each board, from 1; one that was taken is not offered again. 0: none */
     uint16_t hold_ms;  /* how long this is valid; 0: no board is offered */
     uint8_t contacts;  /* CONTACT_OFFERED, CONTACT_OFFERED_FAILED or both: those that close */
     uint8_t reserved;

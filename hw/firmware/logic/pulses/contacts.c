@@ -43,9 +43,9 @@ struct refusal contacts_offer(struct controller *c, const struct offer_request *
     if (request->hold_ms > READY_LONGEST_MS) return (struct refusal){NAK_RANGE, 0, READY_LONGEST_MS};
     if (request->contacts & (uint8_t)~OUTPUTS) return (struct refusal){NAK_RANGE, 1, OUTPUTS};
     if (request->least_ms > request->most_ms) return (struct refusal){NAK_RANGE, 2, request->most_ms};
-    if (!k->used) {
+    if (!k->used || !request->board) { /* a host that begins gets the present levels */
         k->used = 1;
-        k->reported = (uint8_t)~k->levels; /* the host gets the present levels */
+        k->reported = (uint8_t)~k->levels;
     }
     if (request->hold_ms) {
         /* Each board, and each change of what is said of it, shows by an opening. */

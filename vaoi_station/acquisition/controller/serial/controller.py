@@ -388,6 +388,8 @@ class SerialController(Controller):
             ready = ", line ready" if output.high else f", line not ready: {output.why}"
         elif not ident.ready_longest_ms:
             ready = ", no output 'line ready'"
+        contacts = self.contacts()
+        ready += f", contacts closed: {contacts.closed}" if contacts is not None else ""
         barrier = ", barrier interrupted" if link.status is not None and link.status.blocked else ""
         fit = f"clock ± {clock.bound_s() * 1e3:.2f} ms, {clock.drift_ppm:+.1f} ppm"
         noise = f"{link.bad_frames} bad frames, {link.retries} repeats, {link.unmatched} unmatched"
@@ -450,6 +452,7 @@ class SerialController(Controller):
             self._fail_jobs(DeviceError("The controller is no longer supervised.", action="Restart the station."))
 
     def _serve(self) -> None:
+        self._link.contacts = self._contacts  # not before: their first report is for those who take events
         while not self._closing.is_set():
             self._thread.beat()
             try:
@@ -489,7 +492,6 @@ class SerialController(Controller):
             self._link.ready_longest_ms = self._ident.ready_longest_ms
         if self._contacts:
             check_contacts(self._ident)
-            self._link.contacts = True
         if self._boots is None:
             # Events of a process that used the controller earlier are skipped.
             self._request(Request(Type.STATUS))

@@ -180,7 +180,7 @@ export class BoardView extends View {
     draw(this.part("verdict-shape"), verdict);
     this.part("head").dataset.verdict = verdict;
     this.#decisions.show(run);
-    setText(this.part("board-title"), `${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`);
+    setText(this.part("board-title"), [`${run.board_id ?? texts.noId}: ${texts.verdicts[verdict]}`, texts.came[run.came]].filter(Boolean).join(", "));
     const decided = run.decision && `${texts.decided[run.decision.choice](run.decision.name)}: ${run.decision.reason}`;
     setText(this.part("board-order"), decided ?? (verdict === "ok" || verdict === "none" ? "" : boardAdvice(run)));
     this.#reason.show(run);

@@ -30,24 +30,25 @@ export class Neighbours extends View {
     await rest.unattended(rest.neighbours().then((status) => this.#show(status)));
   }
 
-  #show({ role, neighbours, boards, messages }) {
+  #show({ role, neighbours, boards, messages, contacts }) {
     this.#none = role === "none";
     this.root.hidden = this.#none;
-    showLines(this.part("neighbour-list"), neighbours.map(texts.neighbour));
+    showLines(this.part("neighbour-list"), [...neighbours.map(texts.neighbour), ...(contacts ? texts.contacts(contacts) : [])]);
     showLines(this.part("line-messages"), messages.slice(-SHOWN).reverse().map(textOf));
-    const wanted = JSON.stringify([boards, this.#sure]);
+    const waiting = [...boards.map((board) => [board.board_id, texts.waitingBoard(board)]), ...(contacts?.boards ?? []).map((board) => [board.name, texts.waitsByContact(board)])];
+    const wanted = JSON.stringify([waiting, this.#sure]);
     const list = this.part("waiting-boards");
     if (wanted === list.dataset.shown) return;
     list.dataset.shown = wanted;
-    list.replaceChildren(...boards.map((board) => this.#line(board)));
+    list.replaceChildren(...waiting.map(([id, text]) => this.#line(id, text)));
   }
 
   // Pressed twice, so that a touch in passing does not make the station forget a board.
-  #line(board) {
+  #line(board, text) {
     const button = make("button", { type: "button" });
-    setText(button, this.#sure === board.board_id ? texts.reallyOut : texts.boardIsOut);
-    button.addEventListener("click", () => this.#press(board.board_id));
-    return make("li", {}, `${texts.waitingBoard(board)} `, button);
+    setText(button, this.#sure === board ? texts.reallyOut : texts.boardIsOut);
+    button.addEventListener("click", () => this.#press(board));
+    return make("li", {}, `${text} `, button);
   }
 
   async #press(board) {

@@ -1002,6 +1002,13 @@ export const texts = {
     transporting: "a board moves", stopped: "transport stopped", finished: "transport finished",
   },
   waitingBoard: ({ board_id, doubtful, values }) => (doubtful ? `${values.TopBarcode ?? board_id}: it is not known whether the next machine has it` : `${values.TopBarcode ?? board_id} waits for the next machine`),
+  contacts: ({ known, available, failed, next_ready, offered }) => [
+    !known && "SMEMA contacts: not reported yet",
+    `upstream (SMEMA): ${failed ? "a failed board waits" : available ? "a board waits" : "no board"}`,
+    next_ready !== null && `next machine (SMEMA): ${next_ready ? "ready" : "not ready"}${{ available: ", board offered", failed: ", offered as failed" }[offered] ?? ""}`,
+  ].filter(Boolean),
+  waitsByContact: ({ name, failed }) => `${name} waits for the next machine${failed ? ", as a failed board" : ""}`,
+  came: { failed: "came as failed", "by-hand": "put in by hand" },
   boardIsOut: "It is out",
   reallyOut: "Really out? Press again",
   pictureBeingMade: "The picture is being made.",

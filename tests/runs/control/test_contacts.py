@@ -1,0 +1,181 @@
+"""Boards by the contacts of the neighbours: how they came, and what the next machine is offered."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.runs.conftest import a_stitch
+from tests.runs.peer import PATIENCE_S
+from vaoi_station.acquisition.controller.announced import Came
+from vaoi_station.acquisition.controller.interface import BoardOffer, Contacts
+from vaoi_station.acquisition.process import messages
+from vaoi_station.acquisition.process.messages import OfferBoard
+from vaoi_station.errors import StateError
+from vaoi_station.line_config import Smema
+from vaoi_station.model import Status
+from vaoi_station.runs.control.contacts import LineContacts
+from vaoi_station.runs.run.order_queue import LineBoard
+
+BOTH = Smema(sides="both", exit_s=(0.5, 9.0), places=2)
+
+
+class Bench:
+    """The boards of a line, and the newest offer."""
+
+    def __init__(self, config: Smema | None = BOTH) -> None:
+        self.offers: list[BoardOffer | None] = []
+        self.said: list[str] = []
+        self.now_s = 0.0
+        self.contacts = LineContacts(config, self._send, lambda *_, code, **__: self.said.append(code))
+
+    def _send(self, command: OfferBoard) -> None:
+        self.offers.append(command.offer)
+
+    def film(self, run: str, came: Came | None = "announced", *, failed: bool = False) -> None:
+        self.contacts.began(run, came)
+        self.contacts.ended(run, failed=failed)
+
+    def turn(self, taken: int = 0) -> BoardOffer | None:
+        """Let a moment pass; return the newest offer."""
+        self.now_s += 0.3
+        self.contacts.update(Contacts(taken=taken), self.now_s)
+        return self.offers[-1] if self.offers else None
+
+    def take(self) -> bool:
+        """Let the next machine take what is offered; return whether it was offered as failed."""
+        offer = self.turn()
+        assert offer is not None
+        self.turn(offer.number)
+        return offer.failed
+
+
+def test_a_board_is_offered_when_its_run_has_ended_and_renewed_until_it_is_taken() -> None:
+    bench = Bench()
+    bench.contacts.began("r1", "announced")
+    assert bench.turn() is None
+    bench.contacts.ended("r1", failed=False)
+    first = bench.turn()
+    assert first is not None
+    assert (first.failed, first.exit_s) == (False, (0.5, 9.0))
+    again = bench.turn()
+    assert again is not None
+    assert (again.number, again.until_s > first.until_s) == (first.number, True)
+    bench.turn(first.number)
+    bench.turn(first.number)
+    assert len(bench.offers) == 2
+    status = bench.contacts.status(None)
+    assert status is not None
+    assert (status.known, status.boards) == (False, ())
+
+
+def test_boards_leave_in_their_order_each_with_a_number_of_its_own() -> None:
+    bench = Bench()
+    bench.contacts.began("r1", "failed")
+    bench.film("r2")
+    assert bench.turn() is None, "the first is not ready"
+    bench.contacts.ended("r1", failed=False)
+    assert [bench.take(), bench.take()] == [True, False]
+    assert len({offer.number for offer in bench.offers if offer}) == 2
+
+
+def test_what_is_not_known_to_be_good_leaves_as_failed() -> None:
+    bench = Bench(BOTH.model_copy(update={"places": 9}))
+    bench.film("r1", failed=True)
+    bench.film("r2", "by-hand")
+    bench.contacts.missed(1, None)
+    bench.film("r3")
+    bench.contacts.missed(1, "r2")
+    assert [bench.take() for _ in range(5)] == [True, False, True, True, False]
+    assert bench.said == ["board-by-hand"]
+
+
+def test_a_full_place_behind_the_cameras_holds_boards_back() -> None:
+    bench = Bench()
+    bench.film("r1")
+    assert bench.contacts.held() == ()
+    bench.film("r2")
+    assert [reason.code for reason in bench.contacts.held()] == ["boards-wait"]
+    bench.take()
+    assert bench.contacts.held() == ()
+
+
+def test_a_board_that_a_person_took_out_is_not_offered() -> None:
+    bench = Bench()
+    bench.film("r1")
+    bench.film("r2", failed=True)
+    before = bench.turn()
+    bench.contacts.remove("r1")
+    after = bench.turn()
+    assert before is not None
+    assert after is not None
+    assert (after.failed, after.number != before.number) == (True, True)
+    with pytest.raises(StateError, match="does not wait"):
+        bench.contacts.remove("r1")
+
+
+def test_without_contacts_of_the_next_machine_nothing_is_offered_or_held() -> None:
+    for config in (None, Smema(sides="upstream")):
+        bench = Bench(config)
+        bench.film("r1")
+        bench.film("r2")
+        assert (bench.turn(), bench.contacts.held()) == (None, ())
+
+
+# --- on a station
+
+
+@pytest.fixture
+def line(make_rig: Callable[..., Any]) -> Any:
+    rig = make_rig(lock="on", smema=BOTH)
+    rig.ready()
+    rig.peer.report(messages.Health((), "fine", time.monotonic() + 1e3, contacts=Contacts(next_ready=True)))
+    rig.wait_for(lambda: rig.coordinator.contacts().known, "the contacts")
+    return rig
+
+
+def film(rig: Any, grant: messages.Grant, came: Came | None) -> Any:
+    rig.peer.report(messages.RunStarted(grant.run, grant.bay, time.monotonic(), came=came))
+    rig.finish(grant, [r for row in range(3) for r in rig.row(grant, row)])
+    return rig.result_of(grant.run)
+
+
+def offered(rig: Any) -> BoardOffer:
+    """The next offer of a board; other commands are skipped."""
+    while rig.peer.connection.poll(PATIENCE_S):
+        command = rig.peer.connection.recv()
+        if isinstance(command, OfferBoard) and command.offer is not None:
+            return command.offer
+    raise AssertionError("no board is offered")
+
+
+def test_a_bad_board_is_a_good_run_and_leaves_as_a_bad_board(line: Any) -> None:
+    run = film(line, line.arm(), "failed")
+    assert (run.verdict, run.came) == (Status.OK, "failed")
+    assert offered(line).failed
+    assert line.coordinator.orders.came_failed(run.id)
+    assert "board-came-failed" in [event.code for event in line.coordinator.events()]
+
+
+def test_a_failed_result_makes_no_good_board(line: Any) -> None:
+    line.workers.result = lambda head: a_stitch(head, Status.FAILED, ("no fiducial was found",))
+    film(line, line.arm(), "announced")
+    assert offered(line).failed
+
+
+def test_a_bad_board_by_messages_is_one_for_contacts_too(line: Any) -> None:
+    """Upstream speaks Hermes, the next machine has contacts."""
+    grant = line.arm()
+    orders = line.coordinator.orders
+    line.coordinator._core.line.orders.queue.window_s = (0.0, 0.0)
+    orders.by_messages(True)
+    time.sleep(0.01)
+    orders.announce(1, LineBoard("guid", failed="bad"))
+    line.coordinator._core.line.orders.queue.window_s = (0.0, 30.0)
+    orders.started(1)
+    run = film(line, grant, None)
+    assert run.came == "failed"
+    assert offered(line).failed

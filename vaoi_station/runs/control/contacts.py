@@ -1,0 +1,135 @@
+"""The neighbours by the contacts of IPC-SMEMA-9851: how boards came, and which are offered to the next machine.
+
+Contacts name no boards: boards leave in the order in which they came, and what is offered is the first of them whose
+run has ended. "failed board available" closes for a board that came as failed, that was not filmed, or whose run has
+no result that may be used (verdict failed); "board available" for every other one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import randrange
+from typing import Any
+
+from vaoi_station.acquisition.controller.announced import Came
+from vaoi_station.acquisition.controller.interface import BoardOffer, Contacts
+from vaoi_station.acquisition.process.messages import OfferBoard
+from vaoi_station.errors import StateError
+from vaoi_station.line_config import Smema
+from vaoi_station.model import Reason
+from vaoi_station.runs.control.readiness import RENEW_S, VALID_S
+from vaoi_station.runs.states.schemas import BoardBehind, ContactsStatus
+
+_LARGEST = 0xFFFF
+_MOST_BAD, _MOST_BEHIND = 256, 20
+"""Number of the latest runs of failed boards that are known; most boards behind the cameras that are kept."""
+
+
+@dataclass
+class _Behind:
+    """A board between the barrier and the next machine."""
+
+    name: str
+    """Id of its run, or one made for a board that was not filmed."""
+    failed: bool
+    ended: bool
+
+
+class LineContacts:
+    """Used by the coordinator's thread only, except `came_failed`."""
+
+    def __init__(self, config: Smema | None, send: Callable[[OfferBoard], None], publish: Callable[..., Any]) -> None:
+        """Begin without boards; `config` is the table [smema], `publish` is like `EventLog.add`."""
+        self._config, self._send, self._publish = config, send, publish
+        self._exit_s = config.exit_s if config is not None and config.sides == "both" else None
+        self._behind: deque[_Behind] = deque()
+        self._failed: tuple[str, ...] = ()
+        self._missed = 0
+        self._number = randrange(_LARGEST)  # the controller may know the numbers of the process before
+        self._offered: _Behind | None = None
+        self._renewed_s = float("-inf")
+
+    def came_failed(self, run: str) -> bool:
+        """Return whether the board of a run came as failed, as known of the latest runs. Any thread may ask."""
+        return run in self._failed
+
+    def began(self, run: str, came: Came | None) -> None:
+        """Take that a board is filmed, and how the line announced it."""
+        if came == "failed":
+            self._failed = (*self._failed, run)[-_MOST_BAD:]
+            self._publish("line", "The board of this run came as a failed board.", run=run, code="board-came-failed")
+        elif came == "by-hand" and self._config is not None:
+            message = "The board of this run was put in by hand: the machine upstream has not announced it."
+            action = "If nobody put it in, check the contact board available of the machine upstream (vaoi doctor)."
+            self._publish("line", message, run=run, code="board-by-hand", action=action)
+        self._add(_Behind(run, came == "failed", ended=False))
+
+    def ended(self, run: str, *, failed: bool) -> None:
+        """Take that a run has ended and its result is safe; `failed` is whether its board leaves as a failed one."""
+        for board in self._behind:
+            if board.name == run:
+                board.failed, board.ended = board.failed or failed, True
+
+    def missed(self, count: int, run: str | None) -> None:
+        """Take that boards passed without a run, behind the board of a run or, with None, behind all."""
+        at = next((n + 1 for n, board in enumerate(self._behind) if board.name == run), len(self._behind))
+        for _ in range(count):
+            self._missed += 1
+            self._add(_Behind(f"missed-{self._missed}", failed=True, ended=True), at)
+
+    def remove(self, name: str) -> None:
+        """Take that a board was taken out behind the cameras. `StateError`: it is not there."""
+        board = next((board for board in self._behind if board.name == name and board.ended), None)
+        if board is None:
+            message = f"Board {name!r} does not wait for the next machine."
+            raise StateError(message, action="Read the boards with GET neighbours.")
+        self._behind.remove(board)
+
+    def update(self, contacts: Contacts | None, now_s: float) -> None:
+        """Offer the board that is due, renew or withdraw an offer; `contacts` are those of the latest report."""
+        if self._exit_s is None:
+            return
+        if self._offered is not None and contacts is not None and contacts.taken == self._number:
+            if self._offered in self._behind:
+                self._behind.remove(self._offered)
+            self._offered = None
+        due = self._behind[0] if self._behind and self._behind[0].ended else None
+        fresh = due is not self._offered
+        if fresh and due is not None:
+            self._number = self._number % _LARGEST + 1
+        if due is None and fresh:
+            self._send(OfferBoard(None))
+        elif due is not None and (fresh or now_s - self._renewed_s >= RENEW_S):
+            self._renewed_s = now_s
+            self._send(OfferBoard(BoardOffer(self._number, due.failed, now_s + VALID_S, self._exit_s)))
+        self._offered = due
+
+    def held(self) -> tuple[Reason, ...]:
+        """Return the reason that there is no room behind the cameras; empty if there is."""
+        if self._config is None or self._exit_s is None or len(self._behind) < self._config.places:
+            return ()
+        message = f"{len(self._behind)} boards are in the station, and the next machine has not taken the first."
+        return (Reason(code="boards-wait", message=message, action="Wait, or look at the next machine."),)
+
+    def status(self, contacts: Contacts | None) -> ContactsStatus | None:
+        """Return contacts and boards for callers; None without [smema]."""
+        if self._config is None:
+            return None
+        seen = contacts or Contacts()
+        return ContactsStatus(
+            known=contacts is not None,
+            available=seen.available,
+            failed=seen.failed,
+            next_ready=seen.next_ready if self._exit_s is not None else None,
+            offered="failed" if seen.offered_failed else "available" if seen.offered else "none",
+            boards=tuple(BoardBehind(name=b.name, failed=b.failed) for b in self._behind if b.ended),
+        )
+
+    def _add(self, board: _Behind, at: int | None = None) -> None:
+        if self._exit_s is None:
+            return
+        self._behind.insert(len(self._behind) if at is None else at, board)
+        if len(self._behind) > _MOST_BEHIND:
+            self._behind.popleft()
