@@ -100,6 +100,15 @@ def test_wanted_events_arrive_in_order_and_a_restart_goes_on(running: Any, event
         assert second.numbers(1) == [8]
 
 
+def test_what_was_added_before_the_stop_is_published_at_the_stop(running: Any, events: EventList) -> None:
+    broker = Scripted()
+    with running(broker):
+        for _ in range(60):
+            events.add("station", "x", state="stopping")
+    assert broker.sent == list(range(1, 61))
+    assert broker.closed
+
+
 def test_a_failed_event_is_tried_again_before_the_next(running: Any, events: EventList) -> None:
     broker = Scripted(FAILED, RuntimeError("a fault of the library"), FAILED, OK)
     with running(broker) as publisher:

@@ -402,9 +402,9 @@ class Endpoint:
         """Return whether the station has the topics that CFX/WhoIsThereRequest.cs asks for."""
         wanted = body.get("SupportedTopics")
         rule = body.get("SupportedTopicQueryType", "Ignore")
-        if rule not in {"All", "Any"} or not isinstance(wanted, list) or not wanted:
+        if rule not in ("All", "Any") or not isinstance(wanted, list) or not wanted:
             return True
-        names = {topic.get("TopicName") for topic in wanted if isinstance(topic, Mapping)}
+        names = {str(topic.get("TopicName")) for topic in wanted if isinstance(topic, Mapping)}
         own = {topic for topic, _ in _topics()}
         return names <= own if rule == "All" else bool(names & own)
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -39,6 +39,8 @@ BATCH, READ_S = 50, 0.5
 """Number of events that are read at once, and longest wait for them, s: the thread ends within this time."""
 SAVE_S = 1.0
 """Shortest time between two writes of the state, s. After a power cut the messages of this time are repeated."""
+LAST_S = 1.0
+"""Time in which the last events are published when the station stops, s."""
 FAULT_PAUSE_S, STOP_S = 5.0, 3.0
 """Pause after an error of this program, and longest wait for the attempt under way when the station stops, s."""
 _UNREADABLE = "the log does not have them any more, or cannot read them"
@@ -128,8 +130,17 @@ class Publisher:
                 except Exception:  # noqa: BLE001  a fault here must not end the station
                     _log.exception("push to %s failed; it is tried again", self.name)
                     self._stopping.wait(FAULT_PAUSE_S)
+            self._publish_last()
             self._broker.close()
             self._save()
+
+    def _publish_last(self) -> None:
+        """Publish the last events, which say that the station stops; one that fails gets them at the next start."""
+        end_s, before = time.monotonic() + LAST_S, -1
+        with suppress(Exception):  # of the database, which is closed next
+            while self.waiting and not self._in_a_row and before < self.state.last and time.monotonic() < end_s:
+                before = self.state.last
+                self._pass()
 
     def _pass(self) -> None:
         """Make one attempt, or wait a moment."""
