@@ -7,8 +7,9 @@ import pytest
 
 from tests.clamping.boards import FIDUCIALS, Clamp, board_type, filmed, request
 from vaoi_station.clamping import CadPoint, Clamped, clamp
+from vaoi_station.errors import InputError
 from vaoi_station.model import Component, Status
-from vaoi_station.model.board_type import Fiducial
+from vaoi_station.model.board_type import Fiducial, PointTable
 
 ALL = tuple(FIDUCIALS)
 PARTS = tuple(f"U{n}" for n in range(9))
@@ -189,3 +190,57 @@ def test_a_fiducial_is_expected_where_it_was_filmed() -> None:
     seen = filmed(quality={**film.result.quality, "fiducials": [off, *film.result.quality["fiducials"][1:]]})
     assert seen.places[0] - film.places[0] == pytest.approx(np.array((2.0, -1.0)) / 20.0)
     assert seen.places[1:] == pytest.approx(film.places[1:])
+
+
+def test_a_change_of_bow_and_twist_is_said_in_words() -> None:
+    grid = {f"G{n}{m}": (20.0 + 60.0 * n, 10.0 + 40.0 * m) for n in range(3) for m in range(3)}
+    marks = tuple(Fiducial(name=n, x=x, y=y, diameter=1.0) for n, (x, y) in grid.items())
+    for bow, words in (((0.4, 0.0, 0.0), ("+0.4", "along CAD x")), ((0.0, 0.2, 0.0), ("+0.2", "as a twist"))):
+        at = Clamp(bow_mm=bow)(np.array(list(grid.values()))).tolist()
+        readings = [{"fiducial": n, "x": x, "y": y, "z": z} for n, (x, y, z) in zip(grid, at, strict=True)]
+        answer = clamp(filmed(board_type(fiducials=marks)), request(readings, sigma_z=0.005, turn_deg=np.degrees(0.7)))  # type: ignore[arg-type]
+        (said,) = (text for text in answer.remarks if "as clamped less as filmed" in text)
+        assert all(word in said for word in words)
+        assert sum(of in said for of in ("along CAD x", "as a twist", "along CAD y")) == 1
+    flat = clamp(filmed(), request(Clamp().readings("F1", "F2", z=True), sigma_z=0.005, turn_deg=np.degrees(0.7)))
+    assert any("all of the tilt" in text for text in flat.remarks)
+
+
+POINTS = PointTable(
+    name=("U4-1", "U4-2", "U8-1", "VIA GND"), x=(78.0, 82.0, 140.0, 30.0), y=(50.0, 50.0, 80.0, 30.0),
+    net=("GND", "3V3", "GND", "GND"),
+)  # fmt: skip
+
+
+def test_test_points_are_asked_for_by_net_by_component_and_all_each_once() -> None:
+    film, readings = filmed(board_type(test_points=POINTS)), Clamp().readings(*ALL)
+
+    def names(**asked: object) -> list[str]:
+        return [p.name for p in clamp(film, request(readings, **asked)).points]
+
+    assert names(nets=("3V3",), pads_of=("U4",)) == ["U4-2", "U4-1"]
+    assert names(points=("U8-1", "U8"), nets=("GND",)) == ["U8-1", "U8", "U4-1", "VIA GND"]
+    assert names(test_points=True) == list(POINTS.name)
+    via = clamp(film, request(readings, test_points=True)).points[-1]
+    assert via.net == "GND"
+    assert (via.x, via.y) == pytest.approx(Clamp()(np.array([(30.0, 30.0)]))[0, :2], abs=1e-3)
+    with pytest.raises(InputError, match="nets is 'VCC'"):
+        names(nets=("VCC",))
+    with pytest.raises(InputError, match="pads_of is 'U1'"):
+        names(pads_of=("U1",))
+    with pytest.raises(InputError, match="has no test points"):
+        clamp(filmed(), request(readings, test_points=True))
+
+
+def test_a_via_of_a_board_of_a_panel_moves_with_its_board() -> None:
+    parts = tuple(
+        Component(ref="U1", panel=p, center=(x, 50.0), width=4.0, height=4.0) for p, x in (("1", 40.0), ("2", 120.0))
+    )
+    table = PointTable(name=("1/VIA GND", "2/VIA GND", "2/U1-3"), x=(30.0, 110.0, 121.0), y=(30.0, 30.0, 50.0))
+    matrix = filmed().matrix(None)
+    moved = matrix.copy()
+    moved[0, 2] += 0.2
+    film = filmed(board_type(components=parts, test_points=table), board_matrices={"2": moved})
+    first, second, pad = clamp(film, request(Clamp(0.0).readings(*ALL), test_points=True)).points
+    assert second.x - first.x == pytest.approx(80.2, abs=0.01)
+    assert pad.x - first.x == pytest.approx(91.2, abs=0.01)

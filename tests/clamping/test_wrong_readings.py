@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from tests.clamping.boards import FIDUCIALS, Clamp, board_type, filmed, request
 from vaoi_station.clamping import Clamped, Reading, clamp
 from vaoi_station.errors import InputError, StateError
-from vaoi_station.model import Status
+from vaoi_station.model import Component, Status
 from vaoi_station.model.board_type import Fiducial
 
 ALL = tuple(FIDUCIALS)
@@ -159,3 +159,73 @@ def test_an_answer_is_no_better_than_the_verdict_of_the_run(status: Status) -> N
     assert answer.status is status
     assert "links scatter" in answer.reasons[0].message
     assert bool(answer.points) is (status is Status.DEGRADED)
+
+
+def test_mil_that_are_sent_as_millimetres_are_named() -> None:
+    near = Clamp(shift_mm=(0.0, 0.0)).readings(*ALL)
+    readings = tuple(r.model_copy(update={"x": r.x / 0.0254, "y": r.y / 0.0254}) for r in near)
+    answer = clamp(filmed(), request(readings))
+    assert codes(answer) == ["readings-other-unit"]
+    assert "mil read as mm" in answer.reasons[0].message
+
+
+def test_one_of_four_readings_off_by_a_third_of_a_millimetre_is_left_out() -> None:
+    for n, name in enumerate(ALL[:4]):
+        readings = list(Clamp().readings(*ALL[:4]))
+        readings[n] = readings[n].model_copy(update={"x": readings[n].x + 0.3})
+        answer = clamp(filmed(), request(tuple(readings)))
+        assert codes(answer) == ["reading-wrong"]
+        assert [r.fiducial for r in answer.residuals if not r.used] == [name]
+
+
+PANEL = {"P1": (3.0, 3.0), "A1": (20.0, 20.0), "A2": (60.0, 80.0), "B1": (90.0, 20.0), "B2": (130.0, 80.0)}
+
+
+@pytest.mark.parametrize("named", [("A1", "A2"), ("P1", "A1", "A2")])
+def test_readings_of_the_next_board_of_a_panel_are_refused_if_anything_shows_it(named: tuple[str, ...]) -> None:
+    marks, parts = list[Fiducial](), list[Component]()
+    for name, (x, y) in PANEL.items():
+        board = name[0] if name[0] in "AB" else None
+        marks.append(Fiducial(name=name, x=x, y=y, diameter=1.0, panel=board))
+        parts.append(Component(ref=f"U{name}", panel=board or "C", center=(x, y + 5), width=2.0, height=2.0))
+    film, at = filmed(board_type(fiducials=tuple(marks), components=tuple(parts))), {"A1": "B1", "A2": "B2"}
+    read = Clamp()(np.array([PANEL[at.get(name, name)] for name in named])).tolist()
+    readings = tuple(Reading(fiducial=n, x=x, y=y) for n, (x, y, _) in zip(named, read, strict=True))
+    answer = clamp(film, request(readings, turn_deg=np.degrees(0.7)))
+    if "P1" in named:
+        assert codes(answer) == ["fiducials-exchanged"]
+    else:
+        assert answer.status is Status.OK
+        assert "fit as well if A1 is B1, A2 is B2" in " ".join(answer.remarks)
+
+
+def test_an_error_across_the_line_of_two_readings_is_seen_by_the_turn_that_is_stated_with_its_sigma() -> None:
+    first, second = Clamp(0.0).readings("F1", "F2")
+    readings = (first, second.model_copy(update={"y": second.y + 0.3}))
+    unseen = clamp(filmed(), request(readings, turn_deg=0.0))
+    assert unseen.status is Status.OK
+    assert any("across it turns the board unnoticed" in text for text in unseen.remarks)
+    assert codes(clamp(filmed(), request(readings, turn_deg=0.0, turn_sigma_deg=0.01))) == ["board-turned"]
+    good = clamp(filmed(), request((first, second), turn_deg=0.0, turn_sigma_deg=0.01))
+    assert good.status is Status.OK
+    assert not any("unnoticed" in text for text in good.remarks)
+
+
+def test_two_hundred_readings_of_four_hundred_fiducials_are_matched_and_a_swap_is_named() -> None:
+    random = np.random.default_rng(2)
+    marks = tuple(
+        Fiducial(name=f"M{n}", x=x, y=y, diameter=0.5)
+        for n, (x, y) in enumerate((8.0 * i + dx, 5.0 * j + dy) for i in range(20) for j in range(20)
+                                   for dx, dy in random.uniform(0, 3, (1, 2)))
+    )  # fmt: skip
+    chosen = random.permutation(400)[:200]
+    read = Clamp()(np.array([(marks[n].x, marks[n].y) for n in chosen])).tolist()
+    readings = [{"fiducial": f"M{n}", "x": x, "y": y} for n, (x, y, _) in zip(chosen, read, strict=True)]
+    readings[3], readings[7] = (
+        {**readings[7], "fiducial": f"M{chosen[3]}"},
+        {**readings[3], "fiducial": f"M{chosen[7]}"},
+    )
+    film = filmed(board_type(fiducials=marks, components=(), outline=((0.0, 0.0), (170.0, 110.0))))
+    answer = clamp(film, request(readings))  # type: ignore[arg-type]
+    assert codes(answer) == ["reading-wrong", "reading-wrong"]
+    assert f"M{chosen[3]} is left out: it is at the place of M{chosen[7]}" in answer.reasons[0].message

@@ -82,7 +82,7 @@ def test_board_data_is_imported_shown_and_confirmed(
     file.write_text(samples.KICAD)
     secret.write_text(keys.create("t", ["read", "teach"]).secret)
     shown = vaoi("board-types", "import", file, "--name", "p", "--key-file", secret)
-    assert shown.out.startswith("top of 'p' (kicad): 3 components, 1 fiducials\ncheck: "), shown.err
+    assert shown.out.startswith("top of 'p' (kicad): 3 components, 1 fiducials, 0 test points\ncheck: "), shown.err
     assert "Nothing is stored yet" in shown.out
     assert "p" not in station.types
     stored = vaoi("board-types", "import", file, "--name", "p", "--confirm", "--key-file", secret)

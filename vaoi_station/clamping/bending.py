@@ -10,7 +10,7 @@ from vaoi_station.clamping.filmed import FilmedBoard
 from vaoi_station.clamping.fit import FREE
 from vaoi_station.geometry.transforms import Floats
 
-_TILT_MM = 0.5
+TILT_MM = 0.5
 """Standard deviation of the tilt at the board's edge if fewer than three readings of z show it."""
 _STEP = 1e-4
 """Step of the differences that give slopes, in half extents of the board."""
@@ -71,7 +71,7 @@ def bent(film: FilmedBoard, numbers: list[int], z_mm: Floats, sigma_mm: Floats, 
     """Return the heights that readings of z (k,) of fiducials show, with standard deviations (k,)."""
     f = _functions(film, film.cad[numbers])
     flat = np.linalg.matrix_rank(f[:, :3]) == 3
-    tilt, bow = FREE if flat else _TILT_MM, float(np.hypot(bow_mm, film.surface_sigma_mm))
+    tilt, bow = FREE if flat else TILT_MM, float(np.hypot(bow_mm, film.surface_sigma_mm))
     weighted = f * (sigma_mm**-2.0)[:, None]
     normal = weighted.T @ f + np.diag(np.array([FREE, tilt, tilt, bow, bow, bow]) ** -2.0)
     covariance: Floats = np.asarray(np.linalg.inv(normal), np.float64)

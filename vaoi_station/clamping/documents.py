@@ -56,7 +56,8 @@ class ClampedRequest(Strict):
         default=None, description="Expected angle of the CAD x axis in the tester's coordinates, good to 10°."
     )
     turn_sigma_deg: Annotated[Positive, Field(ge=1e-6, le=30)] = Field(
-        default=0.5, description="Its σ, if a single reading leaves the turn to it."
+        default=0.5,
+        description="Its σ. A single reading leaves the turn to it; if it is stated, the turn of two is checked by it.",
     )
     scale_ppm: _Ppm = Field(default=100.0, description="How well the tester's scale agrees with the cameras', 1 σ.")
     shear_ppm: _Ppm = Field(default=100.0, description="How well its axes agree in scale and right angle, 1 σ.")
@@ -67,6 +68,11 @@ class ClampedRequest(Strict):
         max_length=MOST_POINTS,
         description="Test points (`U1-3`), components or fiducials by name, or CAD points.",
     )
+    nets: tuple[_Name, ...] = Field(default=(), max_length=MOST_POINTS, description="All test points of these nets.")
+    pads_of: tuple[_Name, ...] = Field(
+        default=(), max_length=MOST_POINTS, description="All test points of these components."
+    )
+    test_points: bool = Field(default=False, description="All test points of the side.")
     clearance: Positive | None = Field(
         default=None, description="Height above the board at which the probe travels: higher bodies are returned."
     )
@@ -146,6 +152,7 @@ class ClampedPoint(Strict):
     sigma_y: float
     sigma_z: float
     sigma_slope: float
+    net: str | None = Field(default=None, description="Of a test point.")
     top: float | None = Field(default=None, description="Of a component: z of the top of its body, if it is known.")
     sigma_top: float | None = Field(default=None, description="Absent if the height is that of the board type.")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -53,10 +53,26 @@ class FilmedBoard:
         return {c.address: c for c in self.board_type.components}
 
     @cached_property
-    def test_points(self) -> Mapping[str, tuple[float, float]]:
-        """The CAD coordinates of the test points by name."""
+    def test_points(self) -> Mapping[str, tuple[float, float, str]]:
+        """The CAD coordinates and nets of the test points by name."""
         table = self.board_type.test_points
-        return {} if table is None else dict(zip(table.name, zip(table.x, table.y, strict=True), strict=True))
+        if table is None:
+            return {}
+        nets = table.net or ("",) * len(table.name)
+        return dict(zip(table.name, zip(table.x, table.y, nets, strict=True), strict=True))
+
+    @cached_property
+    def positions(self) -> Collection[str]:
+        """The positions of the boards of a panel."""
+        return {str(c.panel) for c in self.board_type.components if c.panel is not None}
+
+    def part_of(self, point: str) -> Component | None:
+        """Return the component of a test point: of `U1-3` it is U1."""
+        while "-" in point:
+            point = point.rpartition("-")[0]
+            if (part := self.parts.get(point)) is not None:
+                return part
+        return None
 
     @cached_property
     def cad(self) -> Floats:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vaoi_station.clamping import documents as doc
-from vaoi_station.clamping.bending import Bending, bent, level
+from vaoi_station.clamping.bending import TILT_MM, Bending, bent, level
 from vaoi_station.clamping.filmed import FilmedBoard
 from vaoi_station.clamping.fit import FREE, SCALE, SHEAR, STRETCH, TURN, Fit, fit, left_out, refined
 from vaoi_station.clamping.wrong_fiducials import Assignment, Ints, assignments
@@ -29,8 +29,6 @@ _OWN = np.array([0.1, 0.1, 1e-3, 5e-5, 5e-5, 5e-5])
 """Standard deviations of how boards of a panel, and places of local fiducials, move against the rest: mm, rad, 1."""
 _MOST_STRAIN = 1e-2
 """Standard deviation of the shape once readings have shown that it is none of those that the tester states."""
-_UNIT_FACTORS = {25.4: "mm read as inch", 1 / 25.4: "inch read as mm", 1e3: "µm read as mm", 1e-3: "mm read as µm",
-                 39.37: "mil read as mm", 0.0254: "mm read as mil"}  # fmt: skip
 _SHAPE = {SCALE: "scale", STRETCH: "stretch (x longer, y shorter)", SHEAR: "shear"}
 
 
@@ -163,9 +161,9 @@ class Readings:
         read, filmed = (np.abs(p[:, None] @ (1, 1j) - p @ (1, 1j)) for p in (self.at, self.place))
         i, j = divmod(int(filmed.argmax()), len(filmed))
         factor = float(read[i, j]) / max(float(filmed[i, j]), 1e-9)
-        for wrong, meaning in _UNIT_FACTORS.items():
-            if abs(factor / wrong - 1) < 0.01:
-                message = f"distances are {factor:.4g} times those filmed: {meaning}?"
+        for other, mm in doc.MM_PER_UNIT.items():
+            if other != unit and abs(factor * mm / self.mm - 1) < 0.01:
+                message = f"distances are {factor:.4g} times those filmed: {other} read as {unit}?"
                 return MisfitError(message, action=f"Check unit, which is {unit}.", code="readings-other-unit")
         flipped, _ = assignments(self.film.places, self.at, *of, mirrored=not self.mirrored)
         if flipped.explained > max(best.explained, 2):
@@ -206,6 +204,8 @@ class Readings:
         whole = [n for n in used if int(self.of[n]) not in apart]
         used = whole if len(whole) > 1 else list(used)
         found, worst = self._fit(used)
+        if len(used) == 2 and self._turn_checked:
+            self._check_turn(found)
         if worst is not None and len(used) > 3:
             # One wrong reading explains a misfit better than a change of shape, if the others then agree.
             others = [n for n in used if n != worst[0]]
@@ -229,6 +229,21 @@ class Readings:
             action = "Check the readings, the tester's calibration, the temperature of the board, and its clamping."
             self.add_reason("shape-changed", f"the board as clamped differs from the one filmed: {shown}", action)
         return found, used
+
+    @property
+    def _turn_checked(self) -> bool:
+        return self.request.turn_deg is not None and "turn_sigma_deg" in self.request.model_fields_set
+
+    def _check_turn(self, found: Fit) -> None:
+        """Raise `MisfitError` if two readings show another turn than the one that is stated, with its σ."""
+        turn = math.atan2(found.matrix[1, 0], found.matrix[0, 0])
+        # A shear turns the x axis too.
+        own = found.covariance[np.ix_((TURN, SHEAR), (TURN, SHEAR))].sum()
+        off, sigma = math.degrees(abs(self.turned_by(turn))), math.degrees(math.sqrt(own))
+        sigma = math.hypot(sigma, self.request.turn_sigma_deg)
+        if off > _SIGMAS * sigma:
+            message = f"two readings show a turn {off:.3g}° off turn_deg ({off / sigma:.1f} σ): one is off their line"
+            raise MisfitError(message, action="Read both again, or a third fiducial.", code="board-turned")
 
     def _fit(self, used: list[int], changed: Sequence[int] = ()) -> tuple[Fit, tuple[int, str] | None]:
         """Return the transform by some readings, and the one that is farthest from what the others expect, if too far.
@@ -293,15 +308,28 @@ class Readings:
         unit, says = self.request.unit, self.remarks.append
         if len(used) == 1:
             says(f"one reading shows a shift only: the turn is turn_deg ± {self.request.turn_sigma_deg:g}°")
-        if len(used) == 2:
-            says("two readings check one another along their line only: an error across it turns the board unnoticed")
+        if len(used) == 2 and not self._turn_checked:
+            says(
+                "two readings check one another along their line only: an error across it turns the board unnoticed; "
+                "read a third fiducial, or state turn_deg with turn_sigma_deg"
+            )
         assumed = [_SHAPE[n] for n in _SHAPE if found.sigma_free(n) > self.prior[n]]
         if assumed:
             says(f"{', '.join(assumed)}: the readings show less than scale_ppm and shear_ppm state, which are taken")
         if self.with_z:
-            weak = bending.covariance.diagonal()[3:] > 0.5 * bending.prior_mm**2
-            if weak.any():
+            values, sigma = bending.values / self.mm, np.sqrt(bending.covariance.diagonal()) / self.mm
+            what = ("along CAD x", "as a twist", "along CAD y")
+            shown = [
+                f"{v:+.3g} ± {s:.2g} {unit} {of}"
+                for v, s, of in zip(values[3:], sigma[3:], what, strict=True)
+                if abs(v) > _SHAPE_SIGMAS * s
+            ]
+            says(f"edges against the middle, as clamped less as filmed: {', '.join(shown) or 'no bow or twist shown'}")
+            if (bending.covariance.diagonal()[3:] > 0.5 * bending.prior_mm**2).any():
                 says(f"z of {len(self.with_z)} fiducials do not show all of the bow: it is as filmed, ± bow")
+            if max(sigma[1:3]) * self.mm > 0.5 * TILT_MM:
+                tilt = f"0 ± {TILT_MM / self.mm:.3g} {unit}"
+                says(f"z of {len(self.with_z)} fiducials do not show all of the tilt: it is {tilt}")
             return
         span_mm = 2 * float(self.film.half[1].max()) * self.film.board_type.mm_per_unit
         # The surface of a bent board stretches by half the thickness times the curvature 8·bow / span².
