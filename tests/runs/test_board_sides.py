@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from vaoi_station.geometry.transforms import Similarity, System
+from vaoi_station.geometry import Camera, Lens, Projective, Similarity, System
 from vaoi_station.model import BoardCode, BoardType, Status
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.board_sides import BoardDocument, BoardSide, code_at_place, join_sides, parts_of
+from vaoi_station.stitching.board.board_plane import board_plane, expected_angle, turned_by_flip
+from vaoi_station.stitching.expectation import Expectation
 
 
 def side(name: str, turn_deg: float = 0.0, **fields: Any) -> BoardSide:
@@ -130,6 +133,29 @@ def test_a_code_at_its_place_excludes_a_turn_unless_another_place_lies_opposite(
     assert read_at((10, 10))
     assert not read_at((10, 10), (50, 30))
     assert not read_at((30, 30))
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("rotation_deg", [0, 90, 180, 270])
+@pytest.mark.parametrize("camera", [[[8, 0], [0, -8]], [[8, 0], [0, 8]], [[-8, 0], [0, 8]], [[0, 8], [8, 0]]])
+def test_the_axis_of_an_order_is_the_one_that_the_sides_show_if_they_lie_as_expected(
+    camera: Any, rotation_deg: int, axis: Any
+) -> None:
+    matrix = np.zeros((3, 3))
+    matrix[:2, :2], matrix[2, 2] = camera, 1.0
+    seen_by = Camera(320, 240, Projective(matrix, System.IMAGE, System.ROW), Lens((0.0, 0.0), 1.0), 400.0)
+    upright = Expectation(angle_rad=-np.radians(rotation_deg))
+    turned = turned_by_flip([seen_by], upright.angle_rad, axis)
+    lying = {"top": upright, "bottom": replace(upright, angle_rad=upright.angle_rad + (np.pi if turned else 0.0))}
+    sides = []
+    for name, expected in lying.items():
+        board = BoardType.model_validate({"name": "b", "side": name, "outline": [[0, 0], [60, 40]]})
+        plane = board_plane(board, seen_by)
+        angle = expected_angle(plane, seen_by, expected)
+        c = plane.matrix(np.array([np.cos(angle), np.sin(angle), 0.0, 0.0]))
+        sides.append(side(name, cad_matrix=tuple(map(tuple, c.tolist())), flip=axis if name == "bottom" else None))
+    found = joined(*sides)
+    assert (found.reasons, found.flip, found.flip_by) == ((), axis, ("order", "cad"))
 
 
 def test_parts_of_inches_and_of_y_down_have_the_common_frame() -> None:

@@ -66,8 +66,8 @@ class OrderRequest(Strict):
     )
     flip: FlipAxis | None = Field(
         default=None,
-        description="Axis of the tester about which the board was turned over since its other side was filmed; "
-        "`boards/{board_id}` compares it.",
+        description="Axis of the tester about which the board was turned over since its other side was filmed "
+        "here, lying as `rotation_deg` of station.toml states: this side is expected as it lies then.",
     )
     priority: int = Field(default=0, ge=-1000, le=1000, description="Orders of a higher priority come first.")
     allow_lost_cameras: bool = Field(default=False, description="Film the board although a camera is not ready.")

@@ -6,6 +6,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.runs.peer import PATIENCE_S
@@ -59,6 +60,23 @@ def test_boards_take_their_orders_and_a_board_without_one_is_missed_visibly(rig:
     [event] = [event for event in rig.coordinator.events() if event.code == "board-without-order"]
     assert event.message == "A board passed and was not filmed: no order waited for it"
     assert rig.coordinator.snapshot().state == "armed"
+
+
+def test_a_board_that_was_turned_over_is_expected_as_the_axis_of_the_flip_lets_it_lie(rig: Any) -> None:
+    """CAD "up" points up in the image, along the tester's y: it stays so about y, and is reversed about x."""
+    lies = {}
+    for axis, board in (("x", "b1"), ("y", "b2"), (None, "b3")):
+        post(rig, board, flip=axis)
+        [order] = [q.order for q in rig.coordinator._core.line.orders.queue.kept if q.order.board_id == board]
+        lies[axis] = order.line.expected_board.rotation_deg
+        assert order.setup.expectation.angle_rad == -np.radians(lies[axis])
+        assert order.for_board(None, None).line.expected_board.rotation_deg == 0
+    assert lies == {"x": 180, "y": 0, None: 0}
+    first = armed(rig)
+    rig.board(first)
+    terms = rig.result_of(first.run).made_with.terms
+    assert terms.expected_board.rotation_deg == 180
+    assert rig.coordinator.finished(first.run).head.rotation_deg == 180
 
 
 def test_after_a_missed_board_no_order_is_certain_until_the_line_is_armed_again(rig: Any) -> None:

@@ -14,6 +14,7 @@ from vaoi_station.model import BoardType, Calibration, Reason
 from vaoi_station.runs.run.reference_store import ReferenceStore, StoredReference
 from vaoi_station.runs.states.run_ids import utc
 from vaoi_station.runs.states.schemas import ArmedWith, FlipAxis
+from vaoi_station.stitching.board.board_plane import turned_by_flip
 from vaoi_station.stitching.expectation import expectation_of, refuse_unplaceable
 from vaoi_station.stitching.matching.evidence import METHODS
 from vaoi_station.stitching.work import StitchSetup
@@ -52,6 +53,7 @@ class Order:
     skip: tuple[str, ...] = ()
     """Positions of the boards of a panel that are not to be tested."""
     flip: FlipAxis | None = None
+    """Axis about which the board was turned over since its other side was filmed, which lay as station.toml states."""
 
     def for_board(
         self, board_id: str | None, job_id: str | None, skip: tuple[str, ...] = (), flip: FlipAxis | None = None
@@ -63,10 +65,18 @@ class Order:
             raise InputError.field(
                 "order", "skip", wrong[0], f"positions of board type {self.board_type.name!r}: {known}"
             )
-        setup = self.setup
-        if skip != setup.expectation.skipped:
-            setup = replace(setup, expectation=replace(setup.expectation, skipped=skip))
-        return replace(self, board_id=board_id, job_id=job_id, skip=skip, flip=flip, setup=setup)
+        setup, line = self.setup, self.line
+        expected = setup.expectation
+        if line is not None and self._turned(self.flip) != self._turned(flip):
+            turned = {"rotation_deg": (line.expected_board.rotation_deg + 180) % 360}
+            line = line.model_copy(update={"expected_board": line.expected_board.model_copy(update=turned)})
+            expected = expectation_of(line, self.board_type)
+        if (expected := replace(expected, skipped=skip)) != setup.expectation:
+            setup = replace(setup, expectation=expected)
+        return replace(self, board_id=board_id, job_id=job_id, skip=skip, flip=flip, setup=setup, line=line)
+
+    def _turned(self, flip: FlipAxis | None) -> bool:
+        return flip is not None and turned_by_flip(self.setup.cameras, self.setup.expectation.angle_rad, flip)
 
     @property
     def draft(self) -> Reason | None:

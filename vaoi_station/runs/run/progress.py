@@ -100,9 +100,12 @@ class Progress:
     def film(self, report: RunFinished) -> None:
         """Take the final report of the acquisition process, and let the stitcher have the run concluded."""
         self.advance(RunStep.FILMED)
-        if self.order.skip:
-            # Whoever stitches the recording again demands the same boards.
-            report = replace(report, head=report.head.model_copy(update={"skip": self.order.skip}))
+        # Whoever stitches the recording again demands the same boards, and expects the same rotation.
+        stated: dict[str, object] = {"skip": self.order.skip} if self.order.skip else {}
+        if self.order.flip is not None and self.order.line is not None:
+            stated["rotation_deg"] = self.order.line.expected_board.rotation_deg or None
+        if stated:
+            report = replace(report, head=report.head.model_copy(update=stated))
         self.recorded = report
         self.stitcher.film(report.head, report.frames)
 

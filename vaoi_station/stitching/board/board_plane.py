@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -111,6 +112,16 @@ def _direction(camera: Camera, angle_rad: float) -> float:
 def expected_angle(plane: BoardPlane, camera: Camera, expectation: Expectation) -> float:
     """Compute the expected direction of the x axis of flat coordinates, as an angle in tester coordinates, rad."""
     return _direction(camera, (np.pi if plane.board_type.side == "bottom" else 0.0) + expectation.angle_rad)
+
+
+def turned_by_flip(cameras: Sequence[Camera], angle_rad: float, axis: Literal["x", "y"]) -> bool:
+    """Return whether a board lies turned by 180° against how its other side lay, once it is turned over about an axis.
+
+    `angle_rad` is the rotation in the image at which the other side lay. CAD "up" stays where it is if it is along the
+    axis of the tester, and is reversed if it is across.
+    """
+    up = _direction(typical_camera(cameras), angle_rad - np.pi / 2)
+    return bool(abs(np.cos(up)) > abs(np.sin(up))) != (axis == "x")
 
 
 def component_at(plane: BoardPlane, c: Floats, board_mm: Floats, reach_mm: float = 0.0) -> Ints:
