@@ -10,11 +10,13 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args, get_origin
 from urllib.parse import quote
 
@@ -23,6 +25,7 @@ from pydantic import BaseModel
 
 from vaoi_station.api.access import scope_needed
 from vaoi_station.api.problems import KINDS
+from vaoi_station.api.routes.metrics import metrics
 from vaoi_station.board_check.report import BoardCheck
 from vaoi_station.cli import app
 from vaoi_station.files.calibrations import Layout
@@ -31,6 +34,8 @@ from vaoi_station.model.codes import code_sections
 from vaoi_station.photometry.flat_fields import FlatFieldDocument
 from vaoi_station.plant.manifest import ArchivedRun
 from vaoi_station.plant.tables import KEY, TABLES
+from vaoi_station.runs.archive.finished_runs import RunFigures
+from vaoi_station.runs.archive.storage_watch import StorageFigures
 from vaoi_station.runs.states.schemas import HeightEntry, PartsDocument
 from vaoi_station.settings.keys import Setting, documentation, keys
 from vaoi_station.simulation.scenario import Scenario
@@ -97,6 +102,13 @@ texts call it *empty* then.
 SCENARIO_HEAD = """# Keys of a scenario
 
 Scenario files of [the twin](twin.md). Every table may be absent. *Empty* in a text: without a value.
+"""
+METRICS_HEAD = """# Metrics
+
+`GET /metrics` replies in the text format of Prometheus (0.0.4). Counters begin at zero with every start of the station,
+unless stated. How to set up Prometheus, alerts and a dashboard: [logs and monitoring](logs.md).
+
+Do not add up `vaoi_process_resident_bytes`: memory that workers share with the fork server counts in each of them.
 """
 TABLES_HEAD = """# Tables of a plant
 
@@ -441,6 +453,32 @@ def modules() -> str:
     return HEAD + "\n".join(lines).rstrip() + "\n"
 
 
+def metrics_page() -> str:
+    """Return the page of all metrics: those of an example with every optional part."""
+    document = json.loads(OPENAPI.read_text(encoding="utf-8"))
+    answer = document["paths"]["/api/v1/station"]["get"]["responses"]["200"]["content"]["application/json"]
+    now: Any = json.loads(json.dumps(answer["example"]), object_hook=lambda members: SimpleNamespace(**members))
+    now.cameras[0].temperature_c = 40.0
+    now.retention.archive = SimpleNamespace(problem="", waiting=0, added=0, dropped=0, refused=0)
+    state = SimpleNamespace(delivered=0, failures=0, skipped=0)
+    publisher: Any = SimpleNamespace(name="mqtt", is_failing=False, waiting=0, state=state)
+    storage, runs = StorageFigures(0, 0, 0, ""), RunFigures(verdicts={"ok": 1}, frames={"ok": 1})
+    found: dict[str, list[str]] = {}
+    for line in metrics(now, runs, [publisher], storage):
+        match line.split(" ", 3):
+            case ["#", "HELP", name, text]:
+                found[name] = [text, "", ""]
+            case ["#", "TYPE", name, kind]:
+                found[name][1] = kind
+            case _:
+                name = re.sub(r"_(bucket|sum|count)$", "", re.split(r"[{ ]", line)[0])
+                name = name if name in found else re.split(r"[{ ]", line)[0]
+                labels = re.findall(r'(\w+)="', line.rpartition(" ")[0])
+                found[name][2] = found[name][2] or ", ".join(f"`{label}`" for label in labels)
+    rows = ((f"`{name}`", kind, labels, text) for name, (text, kind, labels) in found.items())
+    return HEAD + "\n".join([METRICS_HEAD, *_table(("metric", "type", "labels", "meaning"), rows)]).rstrip() + "\n"
+
+
 def tables() -> str:
     """Return the page of the tables that `vaoi restitch` writes."""
     lines = [TABLES_HEAD]
@@ -468,6 +506,7 @@ def pages() -> dict[Path, str]:
         "reference/addresses": addresses,
         "reference/commands": commands,
         "reference/documents": documents,
+        "reference/metrics": metrics_page,
         "reference/modules": modules,
         "reference/scenario": scenario,
         "reference/settings": settings,

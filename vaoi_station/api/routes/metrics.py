@@ -1,4 +1,4 @@
-"""`GET /metrics`: figures for Prometheus, in its text format, version 0.0.4 (docs/reference/metrics.md lists them)."""
+"""`GET /metrics`: figures for Prometheus, text format 0.0.4 (docs/reference/metrics.md is made of it)."""
 
 from __future__ import annotations
 
@@ -31,16 +31,8 @@ def router(services: Services) -> APIRouter:
     coordinator, ask = services.coordinator, services.commands.ask
 
     def text() -> str:
-        snapshot = coordinator.snapshot()
-        lines = itertools.chain(
-            _station(snapshot, coordinator.run_figures()),
-            _cameras(snapshot),
-            _processes(snapshot),
-            _publishing(services.publishers),
-            _archive(snapshot.retention.archive),
-            _storage(coordinator.storage.figures()),
-        )
-        return "\n".join(lines) + "\n"
+        now, figures, storage = coordinator.snapshot(), coordinator.run_figures(), coordinator.storage.figures()
+        return "\n".join(metrics(now, figures, services.publishers, storage)) + "\n"
 
     # Not part of the REST document: the format is that of Prometheus, and generated clients cannot use it.
     @routes.get("/metrics", include_in_schema=False)
@@ -48,6 +40,18 @@ def router(services: Services) -> APIRouter:
         return Response(await ask(text), media_type=MEDIA_TYPE)
 
     return routes
+
+
+def metrics(
+    now: StationSnapshot, figures: RunFigures, publishers: Iterable[Publisher], storage: StorageFigures
+) -> Iterator[str]:
+    """Yield the lines of all metrics."""
+    yield from _station(now, figures)
+    yield from _cameras(now)
+    yield from _processes(now)
+    yield from _publishing(publishers)
+    yield from _archive(now.retention.archive)
+    yield from _storage(storage)
 
 
 def metric(name: str, text: str, *samples: Sample, kind: str = "") -> Iterator[str]:
@@ -81,13 +85,13 @@ def _station(now: StationSnapshot, figures: RunFigures) -> Iterator[str]:
     yield from metric("reasons", "Number of reasons for the present state.", ({}, len(now.reasons)))
     yield from metric("warnings", "Number of conditions that need attention.", ({}, len(now.warnings)))
     runs = _by("verdict", ((verdict, figures.verdicts.get(verdict, 0)) for verdict in verdicts))
-    yield from metric("runs_total", "Runs that ended since the start, by verdict.", *runs)
+    yield from metric("runs_total", "Runs that ended, by verdict.", *runs)
     frames = _by("verdict", figures.frames.items())
-    yield from metric("frames_total", "Frames of ended runs since the start, by verdict.", *frames)
+    yield from metric("frames_total", "Frames of ended runs, by verdict.", *frames)
     yield from _latency(figures)
     yield from metric("boards_missed_total", "Boards that passed without a run.", ({}, now.boards_missed))
     yield from metric("line_ready", "1 if the next board may come, 0 if it must wait.", ({}, now.line_ready))
-    blocked = "Times without memory for the next board, since the start."
+    blocked = "Times without memory for the next board."
     yield from metric("line_blocked_total", blocked, ({}, now.times_blocked))
     yield from metric("ring_bays", "Runs for which the ring has memory.", ({}, len(ring.bays)))
     yield from metric("ring_bays_free", "Runs for which the ring has memory that is free.", ({}, free))
@@ -119,7 +123,7 @@ def _cameras(now: StationSnapshot) -> Iterator[str]:
 def _processes(now: StationSnapshot) -> Iterator[str]:
     alive, restarts = ([(p.name, getattr(p, key)) for p in now.processes] for key in ("alive", "restarts"))
     yield from metric("process_up", "Whether the process runs.", *_by("process", alive))
-    yield from metric("process_restarts_total", "Restarts of the process since the start.", *_by("process", restarts))
+    yield from metric("process_restarts_total", "Restarts of the process.", *_by("process", restarts))
     pids = {"station": os.getpid(), **{p.name: p.pid for p in now.processes if p.pid is not None}}
     used = [(name, usage) for name, pid in pids.items() if (usage := _usage(pid)) is not None]
     for index, (name, text) in enumerate(_USAGE):
@@ -136,9 +140,9 @@ def _publishing(publishers: Iterable[Publisher]) -> Iterator[str]:
     texts = {
         "up": "1 if the broker accepts messages, 0 if it fails.",
         "waiting": "Events that have not had their turn at the broker.",
-        "delivered_total": "Events that the broker has accepted.",
-        "failures_total": "Attempts to publish that failed.",
-        "skipped_total": "Events that were not sent because too many waited.",
+        "delivered_total": "Events that the broker has accepted, also before the start.",
+        "failures_total": "Attempts to publish that failed, also before the start.",
+        "skipped_total": "Events that were not sent because too many waited, also before the start.",
     }
     for index, (name, text) in enumerate(texts.items()):
         yield from metric(f"push_{name}", text, *_by("receiver", ((who, each[index]) for who, each in values.items())))
@@ -146,17 +150,21 @@ def _publishing(publishers: Iterable[Publisher]) -> Iterator[str]:
 
 def _archive(status: ArchiveStatus | None) -> Iterator[str]:
     there = () if status is None else (status,)
-    up = "1 if the archive takes runs, 0 if runs wait for it."
+    up = "1 if the archive takes runs, 0 if runs wait for it; no value without an archive."
     yield from metric("archive_up", up, *(({}, not one.problem) for one in there))
     yield from metric("archive_waiting", "Runs that wait for the archive.", *(({}, one.waiting) for one in there))
     outcomes = [(name, getattr(one, name)) for one in there for name in ("added", "dropped", "refused")]
-    total = "Runs for the archive since the start, by outcome."
+    total = "Runs for the archive, by outcome: added, dropped, refused."
     yield from metric("archive_runs_total", total, *_by("outcome", outcomes))
 
 
 def _storage(figures: StorageFigures) -> Iterator[str]:
     yield from metric("data_free_bytes", "Free space of the data disk.", ({}, figures.free_bytes))
-    yield from metric("database_bytes", "Size of the database without its free pages.", ({}, figures.database_bytes))
+    yield from metric(
+        "database_bytes",
+        "Size of the database without its free pages; no value while it cannot be read.",
+        ({}, figures.database_bytes),
+    )
     yield from metric("runs_unstored", "Finished runs that are in memory only.", ({}, figures.unstored))
     troubles = _by("code", ((code, code == figures.trouble) for code in sorted(CODES)))
     yield from metric("storage_trouble", "1 for the present trouble of the storage, 0 for all others.", *troubles)
