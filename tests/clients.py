@@ -71,11 +71,15 @@ def bare_connection(address: str) -> Iterator[BareConnection]:
         yield BareConnection(connection, f"{host}:{port}")
 
 
-def guide_samples(language: str) -> list[str]:
-    """Return the samples in one language of the guide for authors of tester software, as they are printed."""
-    pages = (DOCS / "rest.md", DOCS / "rest" / "clients.md")
-    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
-    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+def guide_sample(language: str) -> str:
+    """Return the sample in one language of the guide for authors of tester software, as a reader gets it."""
+    if language == "sh":
+        [printed] = re.findall(
+            r"^```sh\n(.*?)^```", (DOCS / "rest.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+        )
+        return str(printed)
+    name = {"python": "tester.py", "c": "c/tester.c"}[language]
+    return (DOCS / "examples" / name).read_text(encoding="utf-8")
 
 
 def plain_calls() -> list[tuple[str, str]]:

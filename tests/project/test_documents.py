@@ -23,8 +23,6 @@ FOLDER = re.compile(r"(?:\.ci|deploy|docs|hw|tests|vaoi_station)/[\w./*-]*")
 """A token that begins with a folder of the repository."""
 PLACEHOLDER = re.compile(r"(?:^|[/_])[A-Z]{2,}(?:$|[/_.])")
 """NAME in a path stands for a name that the reader chooses."""
-EXAMPLES = frozenset({"tester.py", "tester.c"})
-"""Programs that docs/rest.md asks the reader to write."""
 FOREIGN_OPTIONS = frozenset({"--pty", "--quick"})
 """Options of other programs: of simavr's terminal, of tests/run."""
 
@@ -95,7 +93,7 @@ def exists(token: str, document: str) -> bool:
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_every_path_in_backticks_exists(name: str) -> None:
     tokens = {word for span in spans(name) for word in span.split()}
-    paths = {t for t in tokens if SOURCE.fullmatch(t) or FOLDER.fullmatch(t)} - EXAMPLES
+    paths = {t for t in tokens if SOURCE.fullmatch(t) or FOLDER.fullmatch(t)}
     assert sorted(p for p in paths if not PLACEHOLDER.search(p) and not exists(p, name)) == []
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import pytest
 
-from tests.clients import compiled_csharp, guide_samples, run_csharp
+from tests.clients import compiled_csharp, guide_sample, run_csharp
 from tests.needs import need
 from tests.processes import ends_within
 from vaoi_station.demo.client import Client
@@ -140,10 +140,10 @@ def test_the_guide_runs_as_printed_against_the_demo_while_boards_come(start: Sta
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    run("sh", "-eu", "-c", guide_samples("sh")[0])
+    run("sh", "-eu", "-c", guide_sample("sh"))
     for name in ("U1.png", "U1.jpg"):
         assert cv2.imread(str(tmp_path / name)) is not None
-    (tmp_path / "tester.py").write_text(guide_samples("python")[0], encoding="utf-8")
+    (tmp_path / "tester.py").write_text(guide_sample("python"), encoding="utf-8")
     said = run(sys.executable, "tester.py", "demo", "U1")
     assert re.search(r"^run \S+: ok\n  camera \d row \d+: \d+ x \d+, mean ", said)
     made = client.get("/runs/latest")
@@ -156,7 +156,7 @@ def test_the_guide_runs_as_printed_against_the_demo_while_boards_come(start: Sta
     pictures, components = map(int, re.findall(r"best pictures: (\d+) of (\d+) components", done.stdout)[0])
     assert pictures == components == len(client.get("/board-types/demo")["components"])
     assert cv2.imread(str(tmp_path / "0.png")) is not None
-    (tmp_path / "tester.c").write_text(guide_samples("c")[0], encoding="utf-8")
+    (tmp_path / "tester.c").write_text(guide_sample("c"), encoding="utf-8")
     run("cc", "-Wall", "-Wextra", "-Werror", "tester.c", "-o", "tester", "-lcurl")
     client.post("/station/arm", board_type="demo", runs=1)  # no later board takes its memory
     board = client.get("/runs/next", timeout=60)["id"]

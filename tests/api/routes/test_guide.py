@@ -18,17 +18,12 @@ import pytest
 
 from tests.api.conftest import Served
 from tests.api.held_station import HeldStation
-from tests.clients import guide_samples
+from tests.clients import guide_sample
 from tests.needs import need
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.files.images import read_image
-
-
-def sample(language: str) -> str:
-    [found] = guide_samples(language)
-    return found
 
 
 class Keyed(Served):
@@ -84,7 +79,7 @@ def run(command: list[str], served: Any, directory: Path) -> str:
 
 
 def test_python(served: Any, tmp_path: Path) -> None:
-    (tmp_path / "tester.py").write_text(sample("python"))
+    (tmp_path / "tester.py").write_text(guide_sample("python"))
     with boards_pass(served, 1):
         found = run([sys.executable, "tester.py", "demo-board", "2/R1"], served, tmp_path)
     assert "run r000001: ok\n  camera 0 row 3: 16 x 10, mean " in found
@@ -93,7 +88,7 @@ def test_python(served: Any, tmp_path: Path) -> None:
 
 
 def test_python_shows_refusals(served: Any, tmp_path: Path) -> None:
-    (tmp_path / "tester.py").write_text(sample("python"))
+    (tmp_path / "tester.py").write_text(guide_sample("python"))
     with pytest.raises(AssertionError, match="There is no board type 'unheard'"):
         run([sys.executable, "tester.py", "unheard", "U1"], served, tmp_path)
 
@@ -101,7 +96,7 @@ def test_python_shows_refusals(served: Any, tmp_path: Path) -> None:
 def test_curl(served: Any, tmp_path: Path) -> None:
     need("curl")
     with boards_pass(served, 1):
-        run(["sh", "-eu", "-c", sample("sh")], served, tmp_path)
+        run(["sh", "-eu", "-c", guide_sample("sh")], served, tmp_path)
     assert read_image(tmp_path / "U1.png").shape == (64, 80)
     assert cv2.imdecode(np.fromfile(tmp_path / "U1.jpg", np.uint8), cv2.IMREAD_UNCHANGED) is not None
     assert "released" in (tmp_path / "released.json").read_text()
@@ -109,7 +104,7 @@ def test_curl(served: Any, tmp_path: Path) -> None:
 
 def test_c(served: Any, tmp_path: Path) -> None:
     need("cc", "curl/curl.h")
-    (tmp_path / "tester.c").write_text(sample("c"))
+    (tmp_path / "tester.c").write_text(guide_sample("c"))
     run(["cc", "-Wall", "-Wextra", "-Werror", "tester.c", "-o", "tester", "-lcurl"], served, tmp_path)
     found = run([str(tmp_path / "tester"), served.station.film(), "U1"], served, tmp_path)
     assert found == "80 x 64, 80 bytes per line, 5120 bytes\n"
