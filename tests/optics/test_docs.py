@@ -52,4 +52,6 @@ def test_the_output_shown_is_what_the_command_prints(command: str, shown: str) -
     assert words[:2] == ["vaoi", "plan"]
     result = CliRunner().invoke(app, words[1:])
     assert result.exit_code == 0
-    assert result.stdout.rstrip().splitlines() == shown.rstrip().splitlines()
+    # "…" stands for lines that are left out.
+    printed = iter(result.stdout.splitlines())
+    assert [line for line in shown.splitlines() if line != "…" and line not in printed] == []
