@@ -28,6 +28,7 @@ from vaoi_station.doctor.controller_checks import (
     LATENCY,
     ControllerReply,
     controller,
+    judge_contacts,
     judge_encoder,
     judge_latency,
 )
@@ -109,6 +110,13 @@ def test_a_light_beyond_the_firmwares_limits(paced: PacedChip) -> None:
     lights = {"flash": {"channels": [2], "on_us": 800.0}}
     limits = by_subject(controller(context_of(paced.link, lights=lights)))["limits"]
     assert_problem(limits, Level.FAULT, "controller.lights.flash.on_us is 800", "500")
+
+
+def test_contacts_are_shown_and_old_firmware_is_told_apart() -> None:
+    status = replace(Status.unpack(bytes(52)), contacts=0b101)
+    found = judge_contacts(IDENT, status)
+    assert (found.level, found.message) == (Level.OK, "closed: board available, next machine ready")
+    assert_problem(judge_contacts(replace(IDENT, minor=3), status), Level.FAULT, "has no contacts", "1.2.3")
 
 
 def test_an_encoder_is_judged_by_what_it_counts() -> None:

@@ -19,6 +19,8 @@ from vaoi_station.line_config import Smema
 from vaoi_station.model import Status
 from vaoi_station.runs.control.contacts import LineContacts
 from vaoi_station.runs.run.order_queue import LineBoard
+from vaoi_station.store import Store
+from vaoi_station.store.documents import KeyedTexts
 
 BOTH = Smema(sides="both", exit_s=(0.5, 9.0), places=2)
 
@@ -26,11 +28,12 @@ BOTH = Smema(sides="both", exit_s=(0.5, 9.0), places=2)
 class Bench:
     """The boards of a line, and the newest offer."""
 
-    def __init__(self, config: Smema | None = BOTH) -> None:
+    def __init__(self, config: Smema | None = BOTH, documents: KeyedTexts | None = None) -> None:
         self.offers: list[BoardOffer | None] = []
         self.said: list[str] = []
         self.now_s = 0.0
-        self.contacts = LineContacts(config, self._send, lambda *_, code, **__: self.said.append(code))
+        publish = lambda *_, code, **__: self.said.append(code)  # noqa: E731
+        self.contacts = LineContacts(config, self._send, publish, documents)
 
     def _send(self, command: OfferBoard) -> None:
         self.offers.append(command.offer)
@@ -115,6 +118,23 @@ def test_a_board_that_a_person_took_out_is_not_offered() -> None:
     assert (after.failed, after.number != before.number) == (True, True)
     with pytest.raises(StateError, match="does not wait"):
         bench.contacts.remove("r1")
+
+
+def written(store: Store) -> None:
+    """Wait for what is being written."""
+    store.standing.set("another", "").result(PATIENCE_S)
+
+
+def test_boards_behind_the_cameras_survive_a_restart_and_one_without_a_result_leaves_as_failed(store: Store) -> None:
+    before = Bench(documents=store.standing)
+    before.film("r1")
+    before.contacts.began("r2", "announced")
+    before.turn()
+    written(store)
+    after = Bench(documents=store.standing)
+    assert [after.take(), after.take()] == [False, True]
+    written(store)
+    assert Bench(documents=store.standing).turn() is None
 
 
 def test_without_contacts_of_the_next_machine_nothing_is_offered_or_held() -> None:

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from random import randrange
 from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from vaoi_station.acquisition.controller.announced import Came
 from vaoi_station.acquisition.controller.interface import BoardOffer, Contacts
@@ -21,8 +24,10 @@ from vaoi_station.line_config import Smema
 from vaoi_station.model import Reason
 from vaoi_station.runs.control.readiness import RENEW_S, VALID_S
 from vaoi_station.runs.states.schemas import BoardBehind, ContactsStatus
+from vaoi_station.store.documents import KeyedTexts
 
-_LARGEST = 0xFFFF
+_LARGEST, _KEY = 0xFFFF, "contacts"
+_STORED = TypeAdapter(tuple[tuple[str, bool], ...])
 _MOST_BAD, _MOST_BEHIND = 256, 20
 """Number of the latest runs of failed boards that are known; most boards behind the cameras that are kept."""
 
@@ -40,11 +45,26 @@ class _Behind:
 class LineContacts:
     """Used by the coordinator's thread only, except `came_failed`."""
 
-    def __init__(self, config: Smema | None, send: Callable[[OfferBoard], None], publish: Callable[..., Any]) -> None:
-        """Begin without boards; `config` is the table [smema], `publish` is like `EventLog.add`."""
+    def __init__(
+        self,
+        config: Smema | None,
+        send: Callable[[OfferBoard], None],
+        publish: Callable[..., Any],
+        documents: KeyedTexts | None = None,
+    ) -> None:
+        """Begin with the boards that stood behind the cameras when the station ended.
+
+        `config` is the table [smema], `publish` is like `EventLog.add`, and `documents` keeps the boards.
+        """
         self._config, self._send, self._publish = config, send, publish
         self._exit_s = config.exit_s if config is not None and config.sides == "both" else None
+        self._documents, self._kept = documents, ""
         self._behind: deque[_Behind] = deque()
+        if self._exit_s is not None and documents is not None:
+            self._kept = documents.get(_KEY) or ""
+            with suppress(ValidationError):  # none are kept, or by another version
+                kept = _STORED.validate_json(self._kept)
+                self._behind.extend(_Behind(name, failed, ended=True) for name, failed in kept)
         self._failed: tuple[str, ...] = ()
         self._missed = 0
         self._number = randrange(_LARGEST)  # the controller may know the numbers of the process before
@@ -99,12 +119,20 @@ class LineContacts:
         fresh = due is not self._offered
         if fresh and due is not None:
             self._number = self._number % _LARGEST + 1
+        self._keep()
         if due is None and fresh:
             self._send(OfferBoard(None))
         elif due is not None and (fresh or now_s - self._renewed_s >= RENEW_S):
             self._renewed_s = now_s
             self._send(OfferBoard(BoardOffer(self._number, due.failed, now_s + VALID_S, self._exit_s)))
         self._offered = due
+
+    def _keep(self) -> None:
+        """Keep the boards for the next start. One whose run has not ended by then leaves as a failed one."""
+        now = _STORED.dump_json(tuple((b.name, b.failed or not b.ended) for b in self._behind)).decode()
+        if now != self._kept and self._documents is not None:
+            self._kept = now
+            self._documents.set(_KEY, now)
 
     def held(self) -> tuple[Reason, ...]:
         """Return the reason that there is no room behind the cameras; empty if there is."""

@@ -69,7 +69,7 @@ class Parts:
     px_per_mm: tuple[float, ...] = ()
     """Resolution of every camera by its calibration; empty: the nominal ones of station.toml count."""
     cameras: KeyedTexts | None = None
-    """Where it is stored what the cameras are; None if it is not."""
+    """Where it is stored what the cameras are, and the boards behind them; None if it is not."""
     use_calibration: Callable[[Calibration], None] = lambda _: None
     """Lets orders and references use another calibration from now on."""
     use_config: Callable[[StationConfig], None] = lambda _: None
@@ -103,7 +103,7 @@ class Core:
         )
         if parts.resumed is not None:
             self.line.resume(parts.resumed)
-        self.contacts = LineContacts(config.smema, parts.acquisition.send, events.add)
+        self.contacts = LineContacts(config.smema, parts.acquisition.send, events.add, parts.cameras)
         self.boards = BoardAccount(config.line, self.line.orders, events.add, self.contacts.missed)
         self.active: dict[str, Progress] = {}
         """The runs that are filmed or stitched, in the order of their boards."""
