@@ -1,5 +1,5 @@
-"""Write the generated pages: docs/codes.md, and in docs/reference addresses of REST, commands, keys of station.toml,
-modules and tables of a plant.
+"""Write the pages that are made of the code: docs/codes.md, and in docs/reference the addresses of REST, the commands,
+the keys of files, scenarios and station.toml, the metrics, the modules, and the tables of a plant.
 
 python docs/generate.py           # after a change of the interface, the command line or the configuration
 python docs/generate.py --check   # ends with 1 if a page is outdated (tests/project does the same)

@@ -88,7 +88,7 @@ class Line(Section):
     tail_s: NotNegative
     """Time for which pulses continue after the board has left the barrier."""
     transport_s: tuple[NotNegative, Positive] = (0.0, 30.0)
-    """Shortest and longest time from the start of a board's transport, as the neighbour's messages tell it, to the
+    """Shortest and longest time from the start of a board's transport, as the neighbour's messages state it, to the
     barrier."""
     longest_board_mm: Positive
     """Longest board, along the motion; it determines the size of the ring."""
