@@ -11,6 +11,7 @@ import socketserver
 import threading
 from collections import deque
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from tests.needs import lacking
@@ -43,9 +44,10 @@ def need_proton() -> None:
 class Broker(MessagingHandler):  # type: ignore[misc]
     """Takes messages, and gives them to those who receive from the same address."""
 
-    def __init__(self, certificate: Certificate | None = None) -> None:
+    def __init__(self, certificate: Certificate | None = None, clients: Path | None = None) -> None:
+        """Prepare a broker; `clients` is the authority whose certificates it asks for."""
         super().__init__(auto_accept=False)
-        self.port, self._certificate = free_port(), certificate
+        self.port, self._certificate, self._clients = free_port(), certificate, clients
         self.arrived: list[tuple[str, Any]] = []
         """All messages that were accepted, with their addresses, also before a restart."""
         self.silent = threading.Event()
@@ -90,6 +92,9 @@ class Broker(MessagingHandler):  # type: ignore[misc]
         if self._certificate is not None:
             domain = SSLDomain(SSLDomain.MODE_SERVER)
             domain.set_credentials(str(self._certificate.certificate), str(self._certificate.private_key), None)
+            if self._clients is not None:
+                domain.set_trusted_ca_db(str(self._clients))
+                domain.set_peer_authentication(SSLDomain.VERIFY_PEER, str(self._clients))
         scheme = "amqp" if domain is None else "amqps"
         self._acceptor = event.container.listen(f"{scheme}://127.0.0.1:{self.port}", domain)
         self._ready.set()

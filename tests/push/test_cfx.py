@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -58,11 +57,16 @@ def gone(run: str) -> Any:
 
 
 def connection(
-    port: int, events: EventList, snapshot: Callable[[], Any] = lambda: STATION, limit_s: float = 20.0, **more: Any
+    port: int,
+    events: EventList,
+    snapshot: Callable[[], Any] = lambda: STATION,
+    limit_s: float = 20.0,
+    parts: Callable[[str], Any] = gone,
+    **more: Any,
 ) -> CfxBroker:
     config = CfxConfig(**{"host": "127.0.0.1", "port": port, "address": "cfx"} | more)
     log: Any = events
-    return CfxBroker(config, "line 3".replace(" ", "-"), log, Facts(snapshot, gone, gone, gone), limit_s=limit_s)
+    return CfxBroker(config, "line-3", log, Facts(snapshot, gone, gone, parts), limit_s=limit_s)
 
 
 @contextmanager
@@ -197,6 +201,22 @@ def test_the_certificate_of_the_broker_is_checked(
     assert "certificate verify failed" in untrusted.detail
 
 
+def test_a_broker_may_know_the_station_by_its_certificate(
+    events: EventList, brokers: Callable[..., Broker], tmp_path: Path
+) -> None:
+    authority = make_authority(tmp_path)
+    own = make_certificate(tmp_path, "line-3", authority=authority)
+    broker = brokers(make_certificate(tmp_path, authority=authority), authority.certificate)
+    broker.start()
+    secure: dict[str, Any] = {"host": "localhost", "tls": True, "ca": authority.certificate}
+    known = connection(broker.port, events, certificate=own.certificate, private_key=own.private_key, **secure)
+    assert known.idle() == (True, "connected")
+    known.close()
+    refused = connection(broker.port, events, **secure).idle()
+    assert refused is not None
+    assert not refused.delivered
+
+
 def test_a_broker_that_is_absent_silent_or_has_no_receiver_keeps_the_event(broker: Broker, events: EventList) -> None:
     record = events.add("station", "x", state="idle")
     absent = connection(free_port(), events).send(record)
@@ -229,10 +249,11 @@ def test_a_message_that_the_broker_can_never_take_is_reported_and_left_out(broke
     assert "UnitsInspected of event 1" in report.message
 
 
-def test_a_body_is_bytes_of_json(broker: Broker, events: EventList) -> None:
-    made = connection(broker.port, events)
-    made.idle()
+def test_an_event_of_which_no_message_can_be_made_holds_up_no_other(broker: Broker, events: EventList) -> None:
+    made = connection(broker.port, events, parts=lambda _: b"no document")
+    assert made.send(events.add("parts", "x", state="measured", run="r1")).delivered
+    assert made.send(events.add("run", "y", state="stitching", run="r1")).delivered
     made.close()
-    (first, *_) = broker.messages(2)
-    assert isinstance(first.body, bytes | memoryview)
-    assert json.loads(bytes(first.body))["Version"] == "2.1"
+    assert "UnitsDeparted" in names(broker.documents(4))
+    (report,) = [e for e in events.records if e.kind == "push"]
+    assert (report.code, "event 1: JSONDecodeError" in report.message) == ("events-not-pushed", True)

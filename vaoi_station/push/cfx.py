@@ -11,6 +11,7 @@ import logging
 import ssl
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -79,11 +80,12 @@ class CfxBroker(Broker):
         self._url = f"{'amqps' if config.tls else 'amqp'}://{host}:{port}"
         self.endpoint = Endpoint(handle, name, self._url, config.requests, hermes)
         self._translator = Translator(handle, facts, events.last + 1)
-        self._history: History | None = None
+        self._history, self._seen = History(), -LOOK_BACK - 1
+        """What the events up to the number `_seen` tell."""
         self._begun: tuple[int, deque[Message]] = (0, deque())
         """Number of the event that is being sent, and what is left of its messages."""
         standing = self._before(events.last + 1)
-        self._watch, self._looked_s = FaultWatch(events.add, facts.snapshot, set(standing.faults)), 0.0
+        self._watch, self._looked_s = FaultWatch(events.add, facts.snapshot, standing.faults), 0.0
         self._connection: BlockingConnection | None = None
         self._sender: BlockingSender | None = None
         self._receiver: BlockingReceiver | None = None
@@ -102,15 +104,17 @@ class CfxBroker(Broker):
         """Send the messages of an event; return when the broker has accepted all of them."""
         try:
             sender = self._connected()
-            history = self._history or self._before(record.number)
+            if record.number - self._seen > LOOK_BACK:  # at the start, and after events that were skipped
+                earlier, self._history, self._seen = self._history, self._before(record.number), record.number - 1
+                self._history.station = self._history.station or earlier.station
             if self._begun[0] != record.number:
-                self._begun = (record.number, deque(self._translator.messages(record, history)))
+                self._begun = (record.number, deque(self._messages(record)))
             left = self._begun[1]
             while left:
                 self._send(sender, left[0], record.number)
                 left.popleft()
-            history.add([record])
-            self._history = history
+            self._history.add([record])
+            self._seen = record.number
             self._answer_and_beat(sender)
         except self._faults() as error:
             return self._failed(error)
@@ -173,11 +177,13 @@ class CfxBroker(Broker):
         config, options = self._config, dict[str, Any]()
         if config.tls:
             domain = SSLDomain(SSLDomain.MODE_CLIENT)
-            # Given as a path: the library needs the authorities before it can ask for the broker's name.
-            domain.set_trusted_ca_db(str(config.ca or ssl.get_default_verify_paths().cafile))
+            system = ssl.get_default_verify_paths()
+            # A file or a directory. The library needs the authorities before it can ask for the broker's name.
+            domain.set_trusted_ca_db(str(config.ca or system.cafile or system.capath))
             domain.set_peer_authentication(SSLDomain.VERIFY_PEER_NAME)
             if config.certificate is not None and config.private_key is not None:
-                domain.set_credentials(str(config.certificate), str(config.private_key), None)
+                # Without a password here, an encrypted key would be asked for at the terminal.
+                domain.set_credentials(str(config.certificate), str(config.private_key), "")
             options["ssl_domain"] = domain
         if config.user is not None:
             password = "" if config.password_file is None else read_text(config.password_file).strip()
@@ -195,14 +201,28 @@ class CfxBroker(Broker):
         size, limit = len(wrapped.body), sender.link.remote_max_message_size
         if limit and size > limit:
             # It would be refused again and again, and hold up all that follow.
-            text = f"{self.what} does not get {message.name} of event {event}: {size} bytes, it takes {limit}."
-            self._events.add(OWN_KIND, text, code="events-not-pushed", action="Read it with GET events?after=.")
+            self._leave_out(f"{message.name} of event {event}: {size} bytes, it takes {limit}")
             return
         delivery = sender.send(wrapped, timeout=limit_s or self._limit_s, error_states=[])
         if delivery.remote_state == Delivery.RELEASED:
             raise ConnectionException(f"nobody receives what is sent to {self._config.address} (released)")
         if delivery.remote_state != Delivery.ACCEPTED:
             raise ConnectionException(f"the broker does not accept {message.name} ({delivery.remote_state})")
+
+    def _messages(self, record: EventRecord) -> Sequence[Message]:
+        """Return the messages of an event; none, and a report, if a fault of this program prevents them for ever."""
+        try:
+            return self._translator.messages(record, self._history)
+        except VaoiError:
+            raise  # the station is busy or stopping
+        except Exception as error:  # noqa: BLE001  all later events would wait for this one
+            _log.exception("CFX: event %d has no messages", record.number)
+            self._leave_out(f"event {record.number}: {type(error).__name__}: {error}")
+            return ()
+
+    def _leave_out(self, what: str) -> None:
+        text = f"{self.what} does not get {what}."
+        self._events.add(OWN_KIND, text, code="events-not-pushed", action="Read it with GET events?after=.")
 
     def _wrapped(self, message: Message) -> Any:
         """Return the message of AMQP, with the properties of CFX/Transport/AmqpUtilities.cs."""
@@ -249,11 +269,10 @@ class CfxBroker(Broker):
             self._answer(sender, request)
         if time.monotonic() - self._beaten_s >= self._config.heartbeat_s:
             self._beaten_s = time.monotonic()
-            standing = self._before(self._events.last + 1).faults.values()
             body = {
                 "CFXHandle": self.endpoint.handle,
                 "HeartbeatFrequency": span(self._config.heartbeat_s),
-                "ActiveFaults": [fault_of(self.endpoint.handle, record) for record in standing],
+                "ActiveFaults": [fault_of(self.endpoint.handle, record) for record in self._watch.standing.values()],
             }
             self._send(sender, live("CFX.Heartbeat", body))
 

@@ -110,7 +110,7 @@ class History:
     def add(self, records: Iterable[EventRecord]) -> None:
         """Take the next events into account."""
         for record in records:
-            if record.kind == "station" and record.state:
+            if record.kind == "station" and record.state in STATES:
                 self.station = record
             elif record.kind == FAULT and record.state == "over":
                 self.faults.pop(record.code, None)
@@ -121,9 +121,14 @@ class History:
 class FaultWatch:
     """Adds an event when a condition of the station begins or ends, with the time of it, for `FaultOccurred`."""
 
-    def __init__(self, add: Callable[..., object], snapshot: Callable[[], StationSnapshot], standing: set[str]) -> None:
-        """Prepare; `standing` are the codes of the conditions that lasted at the end of the log."""
-        self._add, self._snapshot, self._standing = add, snapshot, standing
+    def __init__(
+        self,
+        add: Callable[..., EventRecord],
+        snapshot: Callable[[], StationSnapshot],
+        standing: Mapping[str, EventRecord],
+    ) -> None:
+        """Prepare; `standing` are the conditions that lasted at the end of the log, by their codes."""
+        self._add, self._snapshot, self.standing = add, snapshot, dict(standing)
 
     def look(self) -> None:
         """Compare the conditions of the station with those before."""
@@ -133,11 +138,11 @@ class FaultWatch:
             # What concerns the connection itself would cause messages without end.
             found |= {reason.code: (state, reason) for reason in reasons if reason.code != "cfx-lost"}
         for code, (state, reason) in found.items():
-            if code not in self._standing:
-                self._add(FAULT, reason.message, state=state, code=code, action=reason.action)
-        for code in self._standing - found.keys():
+            if code not in self.standing:
+                self.standing[code] = self._add(FAULT, reason.message, state=state, code=code, action=reason.action)
+        for code in self.standing.keys() - found.keys():
             self._add(FAULT, f"It is over: {code}.", state="over", code=code)
-        self._standing = set(found)
+            del self.standing[code]
 
 
 @dataclass(frozen=True)
@@ -185,7 +190,7 @@ class Translator:
 
     def _state(self, record: EventRecord, before: EventRecord | None) -> list[tuple[str, dict[str, Any]]]:
         ended = before is not None and before.state == StationState.STOPPING
-        started = before is None or ended or before.number < self._first <= record.number
+        started = ended or ((before is None or before.number < self._first) and record.number >= self._first)
         known = None if before is None else _duration(before.time, record.time)
         old = StationState.STARTING if started or before is None else StationState(before.state)
         change = {
@@ -347,7 +352,7 @@ def _measurement(transaction: str, name: str, value: float, time: str) -> dict[s
     stem = name.partition(":")[0]
     return {
         "$type": "CFX.Structures.NumericMeasurement, CFX",
-        "UniqueIdentifier": identifier(transaction, name),
+        "UniqueIdentifier": f"{transaction}/{name}",
         "MeasurementName": name,
         "TimeRecorded": time,
         "Result": "Skipped",
