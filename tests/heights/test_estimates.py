@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from tests.heights.conftest import ROW_MM, Scene
 from vaoi_station.errors import StateError
 from vaoi_station.heights.estimates import (
-    NOTHING,
     Interval,
     PartHeight,
     compare,
@@ -162,7 +161,7 @@ def among(*intervals: tuple[float, float, float]) -> PartHeight:
         (among((0.95, 1.05, 0.01), (8.0, 9.0, 0.988)), "ambiguous"),
         (among((0.95, 1.05, 0.97), (8.0, 9.0, 0.028)), "agrees"),
         (among((2.0, 3.0, 0.5), (8.0, 9.0, 0.498)), "higher"),
-        (NOTHING, "unknown"),
+        (PartHeight(None, None, (), 0), "unknown"),
     ],
 )
 def test_statements_about_a_body_of_one_millimetre(height: PartHeight, statement: str) -> None:

@@ -44,7 +44,7 @@ def test_every_cell_has_a_frame(board: Filmed) -> None:
     assert plan.covered == 1.0
     assert set(np.unique(plan.layers[0])) <= set(range(len(plan.frames)))
     assert plan.tone[0] < 100 / 250 < plan.tone[1]
-    assert plan.dark_correction.keys() == {0, 1}
+    assert plan.cameras.keys() == {0, 1}
 
 
 def test_lost_frames_are_replaced_by_their_neighbours(board: Filmed) -> None:

@@ -36,8 +36,6 @@ _LONGEST_PX, _SHORTEST_PX = 1024, 32
 """Longest such part, and the shortest that is worth it."""
 _STEEPEST = 0.04
 """Largest deviation of the steps along a line from one pixel to the right: runs would be shorter than 25 px."""
-_CLEAR_PX = 0.01
-"""Distance from the frame's border that positions keep; it exceeds the deviation and every error of rounding."""
 _BELOW_1 = 1 - 1e-9
 _NO_STEP = 1e-12
 """Smaller changes of position per pixel are none: over a line they come to a thousand-millionth of a pixel."""

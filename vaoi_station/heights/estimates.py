@@ -102,9 +102,6 @@ class PartHeight:
     """Number of frames that show it."""
 
 
-NOTHING = PartHeight(None, None, (), 0)
-
-
 class _Swept(NamedTuple):
     heights_mm: Floats
     probability: Floats

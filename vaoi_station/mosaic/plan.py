@@ -456,11 +456,6 @@ class MosaicPlan:
             seen |= layer != NO_FRAME
         return float(seen.mean())
 
-    @property
-    def dark_correction(self) -> dict[int, float]:
-        """The dark level of each camera, 8-bit grey levels."""
-        return {camera: photometry.dark for camera, photometry in self.cameras.items()}
-
 
 def make_plan(
     choice: FrameChoice,

@@ -72,11 +72,6 @@ class TriggerRule:
         self._passage: _Passage | None = None
         self._bounces: list[tuple[float, float]] = []
 
-    @property
-    def run_active(self) -> bool:
-        """Whether a run is under way."""
-        return self._passage is not None
-
     def add_edge(self, time_s: float, blocked: bool) -> None:
         """Process a change of the barrier's level. The caller must call `advance(time_s)` first."""
         if blocked == self._raw:
