@@ -18,12 +18,12 @@ CSHARP = DOCS / "examples" / "csharp"
 _REFERENCES = ("System.Net.Http", "System.Runtime.Serialization")
 
 
-def compiled_csharp(folder: Path) -> Path:
-    """Compile the C# client with the program of docs/examples; a warning is an error."""
+def compiled_csharp(folder: Path, name: str = "Tester") -> Path:
+    """Compile the C# client with a program of docs/examples; a warning is an error."""
     need("mcs", "mono", *(f"{name}.dll" for name in _REFERENCES))
-    program = folder / "Tester.exe"
+    program = folder / f"{name}.exe"
     references = [f"-r:{name}" for name in _REFERENCES]
-    sources = [str(CSHARP / name) for name in ("VaoiStation.cs", "Tester.cs")]
+    sources = [str(CSHARP / source) for source in ("VaoiStation.cs", f"{name}.cs")]
     command = ["mcs", "-warnaserror", "-warn:4", *references, f"-out:{program}", *sources]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

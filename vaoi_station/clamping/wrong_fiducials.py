@@ -18,7 +18,7 @@ _SIGMAS, _LEAST_MM = 5.0, 0.01
 """Distance at which a reading is that of a fiducial, in standard deviations, and what is always granted."""
 _MOST_PAIRS, _MOST_STARTS = 200, 2000
 """Pairs of readings, the farthest first, and pairs of fiducials for them, that are tried."""
-_OUTERMOST, _MOST_DISTANCES = 8, 4_000_000
+_OUTERMOST, _MOST_DISTANCES = 8, 2_500_000
 """Readings by which most pairs of fiducials are excluded, and distances that are computed for the others."""
 
 

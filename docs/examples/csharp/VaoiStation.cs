@@ -109,6 +109,17 @@ namespace Vaoi
             return Read<ComponentViews>(HttpMethod.Get, "runs/" + run + "/components/" + Path(component) + Query(options));
         }
 
+        public Task<BoardType> BoardType(string name)
+        {
+            return Read<BoardType>(HttpMethod.Get, "board-types/" + Uri.EscapeDataString(name));
+        }
+
+        /// <summary>Return where the board lies that the tester has clamped, and the points that it asks for.</summary>
+        public Task<Clamped> Clamped(string run, ClampedRequest asked)
+        {
+            return Read<Clamped>(HttpMethod.Post, "runs/" + run + "/clamped", default(CancellationToken), Bytes(asked));
+        }
+
         /// <summary>Return the pixels of a view.</summary>
         public async Task<Picture> Picture(View view)
         {
@@ -157,10 +168,11 @@ namespace Vaoi
             (await Send(method, path + Query(query)).ConfigureAwait(false)).Dispose();
         }
 
-        private async Task<T> Read<T>(HttpMethod method, string path, CancellationToken cancel = default(CancellationToken))
+        private async Task<T> Read<T>(
+            HttpMethod method, string path, CancellationToken cancel = default(CancellationToken), byte[] document = null)
             where T : class
         {
-            using (var reply = await Send(method, path, cancel: cancel).ConfigureAwait(false))
+            using (var reply = await Send(method, path, cancel: cancel, document: document).ConfigureAwait(false))
             {
                 byte[] body = await reply.Content.ReadAsByteArrayAsync().ConfigureAwait(false);
                 return body.Length == 0 ? null : Json<T>(body);
@@ -171,7 +183,7 @@ namespace Vaoi
         /// command has a key that is the same in all repetitions, so that it acts once.</summary>
         private async Task<HttpResponseMessage> Send(
             HttpMethod method, string path, HttpCompletionOption until = HttpCompletionOption.ResponseContentRead,
-            CancellationToken cancel = default(CancellationToken))
+            CancellationToken cancel = default(CancellationToken), byte[] document = null)
         {
             string key = method == HttpMethod.Get ? null : "\"" + Guid.NewGuid() + "\"";
             string address = path.StartsWith("/") ? path : "api/v1/" + path;
@@ -182,6 +194,11 @@ namespace Vaoi
                 {
                     var request = new HttpRequestMessage(method, address);
                     if (key != null) request.Headers.Add("Idempotency-Key", key);
+                    if (document != null)
+                    {
+                        request.Content = new ByteArrayContent(document);
+                        request.Content.Headers.ContentType = new MediaTypeHeaderValue("application/json");
+                    }
                     var reply = await http.SendAsync(request, until, cancel).ConfigureAwait(false);
                     if (reply.IsSuccessStatusCode) return reply;
                     using (reply) throw await Refusal(reply).ConfigureAwait(false);
@@ -211,6 +228,13 @@ namespace Vaoi
         {
             var settings = new DataContractJsonSerializerSettings { UseSimpleDictionaryFormat = true };
             return (T)new DataContractJsonSerializer(typeof(T), settings).ReadObject(new MemoryStream(body));
+        }
+
+        private static byte[] Bytes<T>(T document)
+        {
+            var stream = new MemoryStream();
+            new DataContractJsonSerializer(typeof(T)).WriteObject(stream, document);
+            return stream.ToArray();
         }
 
         private static string With(string url, string option) { return url + (url.Contains("?") ? "&" : "?") + option; }
@@ -459,6 +483,85 @@ namespace Vaoi
 
         [OnDeserialized]
         private void Prepare(StreamingContext context) { Pictures = new List<Picture>(); }
+    }
+
+    [DataContract]
+    public sealed class BoardType
+    {
+        [DataMember(Name = "name")] public string Name;
+        [DataMember(Name = "unit")] public string Unit;
+        [DataMember(Name = "fiducials")] public Fiducial[] Fiducials;
+    }
+
+    /// <summary>A fiducial, in CAD coordinates and the unit of the board type.</summary>
+    [DataContract]
+    public sealed class Fiducial
+    {
+        [DataMember(Name = "name")] public string Name;
+        [DataMember(Name = "x")] public double X;
+        [DataMember(Name = "y")] public double Y;
+    }
+
+    /// <summary>A fiducial where the tester has found it.</summary>
+    [DataContract]
+    public sealed class Reading
+    {
+        [DataMember(Name = "fiducial")] public string Fiducial;
+        [DataMember(Name = "x")] public double X;
+        [DataMember(Name = "y")] public double Y;
+        [DataMember(Name = "z", EmitDefaultValue = false)] public double? Z;
+    }
+
+    /// <summary>The readings, and what is asked for; lengths are in Unit. Null values are not sent.</summary>
+    [DataContract]
+    public sealed class ClampedRequest
+    {
+        [DataMember(Name = "readings")] public Reading[] Readings;
+        [DataMember(Name = "sigma")] public double Sigma;
+        [DataMember(Name = "sigma_z", EmitDefaultValue = false)] public double? SigmaZ;
+        [DataMember(Name = "unit")] public string Unit = "mm";
+        [DataMember(Name = "y_axis")] public string YAxis = "up";
+        [DataMember(Name = "turn_deg", EmitDefaultValue = false)] public double? TurnDeg;
+        [DataMember(Name = "points", EmitDefaultValue = false)] public string[] Points;
+        [DataMember(Name = "nets", EmitDefaultValue = false)] public string[] Nets;
+        [DataMember(Name = "pads_of", EmitDefaultValue = false)] public string[] PadsOf;
+        [DataMember(Name = "test_points")] public bool TestPoints;
+        [DataMember(Name = "clearance", EmitDefaultValue = false)] public double? Clearance;
+        [DataMember(Name = "margin")] public double Margin;
+    }
+
+    [DataContract]
+    public sealed class Clamped
+    {
+        /// <summary>ok; degraded: usable, see the reasons; failed: there are no points.</summary>
+        [DataMember(Name = "status")] public string Status;
+        [DataMember(Name = "reasons")] public Reason[] Reasons;
+        [DataMember(Name = "remarks")] public string[] Remarks;
+        [DataMember(Name = "points")] public ClampedPoint[] Points;
+        [DataMember(Name = "keep_outs")] public KeepOut[] KeepOuts;
+    }
+
+    [DataContract]
+    public sealed class ClampedPoint
+    {
+        [DataMember(Name = "name")] public string Name;
+        [DataMember(Name = "net")] public string Net;
+        [DataMember(Name = "x")] public double X;
+        [DataMember(Name = "y")] public double Y;
+        [DataMember(Name = "z")] public double Z;
+        [DataMember(Name = "sigma_x")] public double SigmaX;
+        [DataMember(Name = "sigma_y")] public double SigmaY;
+        [DataMember(Name = "sigma_z")] public double SigmaZ;
+    }
+
+    /// <summary>A body that the probe must not touch: a prism over the corners up to Top, which is null if the height
+    /// is not known.</summary>
+    [DataContract]
+    public sealed class KeepOut
+    {
+        [DataMember(Name = "component")] public string Component;
+        [DataMember(Name = "corners")] public double[][] Corners;
+        [DataMember(Name = "top")] public double? Top;
     }
 
     [DataContract]

@@ -17,6 +17,7 @@ from tests.peers.certificates import make_certificate
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.audit import AuditLog
 from vaoi_station.files.access_keys import KeyFile
+from vaoi_station.model.board_type import PointTable
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,23 @@ def test_a_key_and_the_certificate_of_the_station_let_it_in(program: Path, guard
     done = run_csharp(program, served.url, "demo-board", "U1", VAOI_KEY=reader, VAOI_CA=str(certificate))
     assert (done.returncode, done.stdout) == (1, "")
     assert re.match(r"missing-scope: POST /api/v1/station/arm needs the scope operate; key reader has", done.stderr)
+
+
+def test_a_clamped_board_is_probed_at_the_test_points_of_a_net(tmp_path: Path, served: Any) -> None:
+    prober = compiled_csharp(tmp_path, "Prober")
+    board = served.station.types["demo-board"]
+    points = PointTable(name=("U1-1", "U1-2"), x=(20.0, 21.0), y=(20.0, 20.0), net=("GND", "3V3"))
+    served.station.types["demo-board"] = board.model_copy(update={"test_points": points})
+    served.station.film()
+    done = run_csharp(prober, served.url, "30", "GND")
+    # A turn by 30° about the origin, then a shift by (400, 250).
+    assert done.returncode == 0, done.stderr
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("U1-"))
+    x, y = re.fullmatch(r"U1-1 \(GND\): x (\S+) y (\S+) z .* mm", line).groups()  # type: ignore[union-attr]
+    assert (float(x), float(y)) == pytest.approx((407.3205, 277.3205), abs=2e-2)
+    assert "keep out U1, height unknown" in done.stdout
+    refused = run_csharp(prober, served.url, "30", "VCC")
+    assert refused.stderr.startswith("invalid-input: "), refused.stderr
 
 
 def test_a_refusal_has_code_detail_and_action(program: Path, served: Any) -> None:
