@@ -59,6 +59,26 @@ def test_the_interface_changes_only_on_purpose(document: dict[str, Any]) -> None
     assert document == json.loads(GOLDEN.read_text())
 
 
+def test_every_address_says_what_it_is_for_what_it_takes_and_what_it_replies(document: dict[str, Any]) -> None:
+    """docs/reference/addresses.md is made of it."""
+    lacking = []
+    for path, method, operation in operations(document):
+        body = operation.get("requestBody", {}).get("content", {}).get("application/json", {})
+        model = document["components"]["schemas"].get(body.get("schema", {}).get("$ref", "").rsplit("/", 1)[-1], {})
+        fields = model.get("properties", {}) if model.get("title") != "BoardType" else {}  # its own texts: documents.md
+        stated = {name for name, field in fields.items() if field.get("description")}
+        stated |= {p["name"] for p in operation.get("parameters", ()) if p.get("description")}
+        needed = {*fields, *(p["name"] for p in operation.get("parameters", ())), "description"}
+        lacking += [(method, path, name) for name in needed - stated - ({"description"} & set(operation))]
+        replies = [r for status, r in operation["responses"].items() if status.startswith("2")]
+        lacking += [
+            (method, path, "example")
+            for reply in (body, *(reply.get("content", {}).get("application/json", {}) for reply in replies))
+            if reply and "example" not in reply and (reply is not body or model.get("required"))
+        ]
+    assert lacking == []
+
+
 def test_answers_may_get_fields_and_requests_may_not(document: dict[str, Any]) -> None:
     closed = {n for n, s in document["components"]["schemas"].items() if s.get("additionalProperties") is False}
     assert closed == {
