@@ -116,10 +116,8 @@ def commands() -> dict[str, frozenset[str]]:
 
 
 def calls(name: str) -> Iterator[str]:
-    """Yield every call of `vaoi` in a document: in backticks, and in lines of code blocks without their comments."""
-    text = (ROOT / name).read_text(encoding="utf-8")
-    lines = (line.split("#", 1)[0] for block in FENCE.findall(text) for line in block.splitlines())
-    for line in (*spans(name), *lines):
+    """Yield every call of `vaoi` in backticks; those of code blocks are in test_blocks.py."""
+    for line in spans(name):
         for part in re.split(r"&&|[|;]", line):
             words = part.split()
             # The last one: `sudo -u vaoi vaoi doctor` begins with the name of a user.
