@@ -312,6 +312,12 @@ class ApiConfig(Section):
     """Certificate of the station with its chain (PEM); if it is given, the service accepts only TLS."""
     private_key: Path | None = None
     """Private key of the certificate (PEM)."""
+    other_station: Annotated[str, Field(pattern=r"^https?://[^/?#@]+(/[^?#]*)?$")] | None = None
+    """Address of the station that films the other side of the boards, http://HOST:PORT; both are shown as one."""
+    other_station_key: Path | None = None
+    """File with a key of that station, with the scope `read`; None: it is asked without a key."""
+    other_station_ca: Path | None = None
+    """Certificate that is trusted for that station (PEM); None: those of the system."""
 
     @model_validator(mode="after")
     def _both_or_none(self) -> Self:

@@ -13,6 +13,7 @@ from vaoi_station.api import batch, openapi, pages, problems
 from vaoi_station.api.access import AccessControl
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.middleware import guards
+from vaoi_station.api.other_station import OtherStation
 from vaoi_station.api.parameters import operation_id, refuse_unclear_parameters
 from vaoi_station.api.rest_models import Health
 from vaoi_station.api.routes import (
@@ -68,7 +69,8 @@ def create_app(
     `app.state.hub.close()` ends streams and long polls, so that a server can stop without waiting for them. An event
     of kind "station" with state "stopping" has the same effect.
     """
-    services = Services(coordinator, EventHub(coordinator), publishers, line)
+    other = None if files is None else OtherStation.of(files.config.api)
+    services = Services(coordinator, EventHub(coordinator), publishers, line, other)
 
     previews = Previews()
 

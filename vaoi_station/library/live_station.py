@@ -664,12 +664,13 @@ class Station:
         sides, coming = list[BoardSide](), list[SideName]()
         for station in (self, *others):
             try:
-                found = station._client.read(BoardDocument, path, within=within_s, parts=True)
+                found = station._client.read(BoardDocument, path, within=within_s, parts=True, alone=bool(others))
             except NotFoundError as error:
                 missing = error
                 continue
-            known = (side for side in (found.top, found.bottom, *found.others) if side is not None)
-            sides += [side.model_copy(update={"address": station._client.url(side.address)}) for side in known]
+            for side in found.every_side:
+                address = side.address if "://" in side.address else station._client.url(side.address)
+                sides.append(side.model_copy(update={"address": address}))
             coming += found.coming
         if missing is not None and not sides and not coming:
             raise missing

@@ -101,6 +101,11 @@ class BoardDocument(Strict):
     )
     flip_axis_deg: float | None = Field(default=None, description="The same axis as measured, from x, 0 to 180.")
 
+    @property
+    def every_side(self) -> tuple[BoardSide, ...]:
+        """The runs of both sides, and those that are not joined."""
+        return tuple(side for side in (self.top, self.bottom, *self.others) if side is not None)
+
     def without_parts(self) -> BoardDocument:
         """Return the document without the parts of its sides."""
         sides = {"top": self.top, "bottom": self.bottom}
@@ -115,7 +120,9 @@ class FoundSides(NamedTuple):
     coming: tuple[SideName, ...]
 
     def with_parts(self, side: BoardSide) -> BoardSide:
-        """Return a side with its parts."""
+        """Return a side with its parts; one of another station as it is."""
+        if side.parts is not None or side.run not in self.runs:
+            return side
         run = self.runs[side.run]
         parts = parts_of(run.board_type, tuple(part.address for part in run.detail.unseen))
         return side.model_copy(update={"parts": parts})
@@ -282,7 +289,7 @@ def join_sides(
         top=top,
         bottom=bottom,
         others=others,
-        coming=tuple(coming),
+        coming=tuple(name for name in _SIDES if name in coming),
         flip=flip.axis,
         flip_by=flip.by,
         flip_axis_deg=flip.axis_deg,

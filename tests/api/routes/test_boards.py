@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import vaoi_station as vaoi
 from tests.api.conftest import Served
+from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
 
 BOARDS = "/api/v1/boards"
@@ -79,3 +81,32 @@ def test_two_stations_that_film_the_same_side_are_told_so() -> None:
         first.stop()
         second.stop()
     assert [reason.code for reason in found.reasons] == ["sides-same"]
+
+
+def beside(other: str, folder: Path, station: HeldStation) -> Served:
+    """Serve a station whose station.toml names the one of the other side."""
+    files = setup_files(folder)
+    api = files.config.api.model_copy(update={"other_station": other})
+    files.config = files.config.model_copy(update={"api": api})
+    return Served(station, files=files)
+
+
+def test_a_station_tells_the_side_that_another_one_films_and_says_if_that_is_silent(tmp_path: Path) -> None:
+    second = Served(turned_over())
+    first = beside(second.url, tmp_path, HeldStation())
+    try:
+        for served in (first, second):
+            served.station.film(board_id="SN-1")
+        found = first.client.get(f"{BOARDS}/SN-1?parts=true").json()
+        assert found["bottom"]["address"] == f"{second.url}/api/v1/runs/r000001"
+        assert found["bottom"]["parts"]["address"] == found["top"]["parts"]["address"]
+        assert first.client.get(f"{BOARDS}/SN-1?alone=true").json()["reasons"][0]["code"] == "side-missing"
+        second.station.film(board_id="SN-2")
+        assert first.client.get(f"{BOARDS}/SN-2").json()["reasons"][0]["code"] == "side-missing"
+        assert first.client.get(f"{BOARDS}/SN-9").json()["code"] == "unknown-board"
+        second.stop()
+        silent = first.client.get(f"{BOARDS}/SN-1").json()
+        assert [reason["code"] for reason in silent["reasons"]] == ["side-missing", "other-station-silent"]
+        assert second.url in silent["reasons"][1]["message"]
+    finally:
+        first.stop()

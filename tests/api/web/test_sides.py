@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.api.held_station import BOARD, HeldStation
+from tests.api.routes.test_boards import beside
 from tests.api.web.test_views import examine, wide_elements
 from vaoi_station.model import BoardType, Status
 
@@ -87,6 +89,26 @@ def test_what_is_wrong_with_a_side_is_said_and_what_still_comes_appears(page: Pa
     expect(page.locator("#sides-head")).to_have_attribute("data-verdict", "failed")
     page.goto(f"{served.url}/#/sides/SN-9")
     expect(page.locator("#sides-title")).to_have_text("There is no such board.")
+
+
+def test_a_side_that_another_station_films_is_shown_with_its_map_and_a_link_to_it(
+    page: Page, served: Any, tmp_path: Path
+) -> None:
+    lower = BOARD | {"side": "bottom", "components": PARTS}
+    served.station.types["demo-board"] = BoardType.model_validate(lower)
+    served.station.film(board_id="SN-1")
+    first = beside(served.url, tmp_path, HeldStation())
+    try:
+        run = first.station.film(board_id="SN-1")
+        page.goto(f"{first.url}/#/board/{run}")
+        expect(page.locator("#other-side")).to_have_attribute("href", f"{served.url}/#/board/r000001")
+        page.locator("#both-sides").click()
+        expect(page.locator("#side-bottom .side-picture")).to_have_text(
+            "Its pictures are at the station that filmed it."
+        )
+        expect(page.locator(".side-map")).to_have_count(2)
+    finally:
+        first.stop()
 
 
 def test_the_german_page_translates_reasons_and_fits(browser: Browser, served: Any) -> None:

@@ -9,7 +9,9 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from vaoi_station.api.http_caching import LIVE, json_response
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
-from vaoi_station.runs.board_sides import BoardDocument, Line, find_sides, join_sides
+from vaoi_station.errors import DeviceError, NotFoundError
+from vaoi_station.model import Reason
+from vaoi_station.runs.board_sides import BoardDocument, FoundSides, Line, find_sides, join_sides
 
 BoardId = Annotated[
     str, Path(description="Id of a board, as it was armed, read or reported.", min_length=1, max_length=200)
@@ -28,18 +30,35 @@ def router(services: Services) -> APIRouter:
         *,
         within: Annotated[float, Query(description="Longest time between the runs of both sides, s.", gt=0)] = 3600.0,
         parts: Annotated[bool, Query(description="Whether the parts of both sides are wanted.")] = False,
+        alone: Annotated[bool, Query(description="Whether `other_station` of station.toml is left out.")] = False,
     ) -> Response:
         """Return a board with its newest runs of top and bottom, by the id that was armed, read or reported.
 
         A side that is missing, still comes, is not `ok`, states another id or does not fit the other is among the
-        reasons. Only runs and orders of this station, and runs that were imported into it: in Python,
-        `station.board(id, other)` joins two stations.
+        reasons. Runs and orders are those of this station, runs that were imported into it, and those of the station
+        that `other_station` of station.toml names. In Python, `station.board(id, other)` joins any stations.
         """
         prefix = request.url.path.partition("/boards/")[0] + "/runs"
+        other, elsewhere, silent = services.other_station, None, None
+        if other is not None and not alone:
+            try:
+                elsewhere = await ask(other.board, board_id, within)
+            except DeviceError as error:
+                silent = Reason(code="other-station-silent", message=error.message, action=error.action)
 
         def joined(line: Line) -> BoardDocument:
-            found = find_sides(board_id, line, within, prefix)
-            board = join_sides(board_id, found.sides, within, found.coming, found.with_parts)
+            try:
+                found = find_sides(board_id, line, within, prefix)
+            except NotFoundError:
+                if elsewhere is None:
+                    raise
+                found = FoundSides([], {}, ())
+            sides, coming = found.sides, found.coming
+            if elsewhere is not None:
+                sides, coming = [*sides, *elsewhere.every_side], (*coming, *elsewhere.coming)
+            board = join_sides(board_id, sides, within, coming, found.with_parts)
+            if silent is not None and (board.top is None or board.bottom is None):
+                board = board.model_copy(update={"reasons": (*board.reasons, silent)})
             return board if parts else board.without_parts()
 
         orders = (await ask(coordinator.orders.list)).orders

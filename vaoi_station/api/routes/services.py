@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from vaoi_station.api.event_hub import EventHub
 from vaoi_station.api.limits import QueuedSeats, ThreadLimit
+from vaoi_station.api.other_station import OtherStation
 from vaoi_station.hermes.service import HermesService
 from vaoi_station.push.publisher import Publisher
 from vaoi_station.runs.control.coordinator import StationCoordinator
@@ -30,6 +31,8 @@ class Services:
     publishers: tuple[Publisher, ...] = ()
     line: HermesService | None = None
     """The neighbours in the line; None if they do not speak Hermes."""
+    other_station: OtherStation | None = None
+    """The station that films the other side of the boards; None: this one alone tells of boards."""
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: QueuedSeats = field(

@@ -4,6 +4,16 @@ import * as rest from "../parts/rest.js";
 import { sign } from "../parts/signs.js";
 import { texts } from "../texts/texts.js";
 
+// The page of a run: of this station, or of the one that films the other side. Its loopback address is that of this machine.
+export function pageOf({ address, run }, component) {
+  const query = component ? `?${new URLSearchParams({ component })}` : "";
+  const page = `#/board/${encodeURIComponent(run)}${query}`;
+  if (!address.includes("://")) return page;
+  const other = new URL(address.split("/api/v1/")[0] + "/");
+  if (["127.0.0.1", "localhost"].includes(other.hostname)) other.hostname = location.hostname;
+  return `${other}${page}`;
+}
+
 const SECOND = ["side-coming", "side-too-old", "sides-same"]; // there is a second side, although none is joined
 
 export async function showSideLinks(root, run) {
@@ -18,8 +28,7 @@ export async function showSideLinks(root, run) {
   if (other) {
     const verdict = other.verdict ?? "failed";
     const title = `${words.names[other.side]}: ${texts.verdicts[verdict]} (Alt+S)`;
-    const href = `#/board/${encodeURIComponent(other.run)}`;
-    root.append(make("a", { id: "other-side", className: "button", href, title, ariaLabel: title, ariaKeyShortcuts: "Alt+S" }, sign(verdict), words.names[other.side]));
+    root.append(make("a", { id: "other-side", className: "button", href: pageOf(other), title, ariaLabel: title, ariaKeyShortcuts: "Alt+S" }, sign(verdict), words.names[other.side]));
   }
   root.append(make("a", { id: "both-sides", className: "button", href: `#/sides/${encodeURIComponent(id)}`, textContent: words.both }));
 }

@@ -6,6 +6,7 @@ import { draw, sign } from "../parts/signs.js";
 import { svg } from "../parts/svg.js";
 import { moment, texts } from "../texts/texts.js";
 import { reasonSaid, sentence } from "./report.js";
+import { pageOf } from "./side_links.js";
 
 const SIDES = ["top", "bottom"];
 const PART = `
@@ -22,7 +23,6 @@ const PART = `
 <section id="side-bottom" class="board-side" tabindex="-1" data-label="board.sides.names.bottom"></section>`;
 
 const verdictOf = (side) => side.verdict ?? "failed";
-const boardAddress = (side, component) => `#/board/${encodeURIComponent(side.run)}${component ? `?${new URLSearchParams({ component })}` : ""}`;
 
 export class SidesView extends View {
   name = "sides-view";
@@ -85,7 +85,7 @@ export class SidesView extends View {
       return;
     }
     const { parts } = side;
-    const title = make("a", { href: boardAddress(side), textContent: `${words.names[name]}: ${texts.verdicts[verdictOf(side)]}` });
+    const title = make("a", { href: pageOf(side), textContent: `${words.names[name]}: ${texts.verdicts[verdictOf(side)]}` });
     const facts = [moment(side.started), [side.board_type, side.revision].filter(Boolean).join(" "), words.parts(parts.address.length, parts.unseen.length), side.station].filter(Boolean);
     const picture = make("div", { className: "side-picture" });
     const head = make("h3", {}, sign(verdictOf(side)), title);
@@ -100,8 +100,10 @@ export class SidesView extends View {
   }
 
   async #picture(root, side) {
-    const shown = await boardPicture(await rest.run(side.run), { steps: 2, alt: texts.board.sides.picture(texts.board.sides.names[side.side]) }).catch(() => null);
-    root.replaceChildren(shown ?? make("p", { textContent: texts.board.sides.noPicture }));
+    const words = texts.board.sides;
+    const elsewhere = side.address.includes("://"); // the page may load pictures of its own station only
+    const shown = elsewhere ? null : await boardPicture(await rest.run(side.run), { steps: 2, alt: words.picture(words.names[side.side]) }).catch(() => null);
+    root.replaceChildren(shown ?? (elsewhere ? make("a", { href: pageOf(side), textContent: words.elsewhere }) : make("p", { textContent: words.noPicture })));
   }
 
   // The parts as the cameras see them: the bottom from below, its x to the left.
@@ -131,7 +133,7 @@ export class SidesView extends View {
     map.addEventListener("click", (event) => {
       const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(map.getScreenCTM().inverse());
       const hit = parts.address.map((address, n) => ({ address, corners: corners[n], size: parts.width_mm[n] * parts.height_mm[n] })).filter((one) => contains(one.corners, at));
-      if (hit.length) location.hash = boardAddress(side, hit.sort((a, b) => a.size - b.size)[0].address);
+      if (hit.length) location.href = pageOf(side, hit.sort((a, b) => a.size - b.size)[0].address);
     });
     return map;
   }
@@ -141,7 +143,7 @@ export class SidesView extends View {
     for (const side of SIDES.map((name) => this.#board?.[name]).filter(Boolean)) {
       const address = side.parts.address.find((one) => one.toLowerCase() === wanted.toLowerCase());
       if (!address) continue;
-      location.hash = boardAddress(side, address);
+      location.href = pageOf(side, address);
       return;
     }
     setText(this.part("sides-answer"), wanted ? texts.board.noPart(wanted) : "");

@@ -14,6 +14,7 @@ const board = {
     coming: "Its pictures still come.",
     missing: "There are no pictures of this side.",
     noPicture: "Its frames are no longer in memory.",
+    elsewhere: "Its pictures are at the station that filmed it.",
     parts: (n, unseen) => `${n} ${n === 1 ? "part" : "parts"}${unseen ? `, ${unseen} not seen` : ""}`,
     picture: (side) => `${side}, whole board`,
     map: (side, n) => `${side}: map of ${n} parts, as the cameras see it`,
