@@ -224,6 +224,11 @@ def test_test_points_are_asked_for_by_net_by_component_and_all_each_once() -> No
     via = clamp(film, request(readings, test_points=True)).points[-1]
     assert via.net == "GND"
     assert (via.x, via.y) == pytest.approx(Clamp()(np.array([(30.0, 30.0)]))[0, :2], abs=1e-3)
+    longer = board_type(
+        components=(Component(ref="CONNECTOR1", center=(80.0, 50.0), width=8.0, height=4.0),),
+        test_points=PointTable(name=("CONNEC-1",), x=(78.0,), y=(50.0,), net=("GND",)),
+    )
+    assert [p.name for p in clamp(filmed(longer), request(readings, pads_of=("CONNECTOR1",))).points] == ["CONNEC-1"]
     with pytest.raises(InputError, match="nets is 'VCC'"):
         names(nets=("VCC",))
     with pytest.raises(InputError, match="pads_of is 'U1'"):

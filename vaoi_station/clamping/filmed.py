@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -67,12 +68,17 @@ class FilmedBoard:
         return {str(c.panel) for c in self.board_type.components if c.panel is not None}
 
     def part_of(self, point: str) -> Component | None:
-        """Return the component of a test point: of `U1-3` it is U1."""
+        """Return the component of a test point: of `U1-3` it is U1; netlists have six letters of a designator."""
         while "-" in point:
             point = point.rpartition("-")[0]
-            if (part := self.parts.get(point)) is not None:
+            if (part := self.parts.get(point) or self._by_six_letters.get(point)) is not None:
                 return part
         return None
+
+    @cached_property
+    def _by_six_letters(self) -> Mapping[str, Component]:
+        counts = Counter(address[:6] for address in self.parts)
+        return {a[:6]: part for a, part in self.parts.items() if len(a) > 6 and counts[a[:6]] == 1}
 
     @cached_property
     def cad(self) -> Floats:

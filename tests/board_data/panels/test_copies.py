@@ -9,7 +9,8 @@ import pytest
 
 from tests.board_data.readers import samples
 from vaoi_station.board_data import Options, read_design, to_board_type
-from vaoi_station.board_data.design import Design, Mark, Part
+from vaoi_station.board_data.design import Design, Mark, NetPoint, Part
+from vaoi_station.board_data.net_points import numbered
 from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
 from vaoi_station.errors import InputError
 
@@ -83,3 +84,17 @@ def test_a_kicad_file_of_a_panel_is_read_as_one(tmp_path: Path) -> None:
     assert any("read as a panel of 2 boards" in note for note in notes)
     with pytest.raises(InputError, match="is a panel of 2 boards; --repeat is for one board"):
         read_design(path, Options(grid=Grid((2, 1), (200.0, 0.0))))
+
+
+def test_pads_and_vias_belong_to_the_board_that_they_lie_on() -> None:
+    _, file = copied(Grid((2, 1), (30.0, 0.0)))
+    points = [NetPoint(part.ref, "1", "N", part.origin, True, False) for part in file.parts]
+    points += [NetPoint("", "", "N", (x, 9.5), True, True, "via") for x in (44.0, 14.0)]
+    points += [NetPoint("", "", "N", (3.0, 3.0), True, False, "pad", None, "TP9")]
+    found = laid_out(with_copies(replace(file, net_points=numbered(points)))).net_points
+    at = {point.name: point.at for point in found}
+    assert at["1/U1-1"] == (5.0, 4.0)
+    assert at["2/U1-1"] == (35.0, 4.0)
+    assert (at["1/VIA N"], at["2/VIA N"]) == ((14.0, 9.5), (44.0, 9.5))
+    assert at["1/TP9"] == (3.0, 3.0)
+    assert len(at) == len(points)

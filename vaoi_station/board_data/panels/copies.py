@@ -18,6 +18,7 @@ from vaoi_station.board_data.design import (
     XY,
     Design,
     Mark,
+    NetPoint,
     Part,
     PlacedBoard,
     Placement,
@@ -26,6 +27,7 @@ from vaoi_station.board_data.design import (
     noted,
     rotated,
 )
+from vaoi_station.board_data.net_points import numbered
 from vaoi_station.board_data.panels.layout import MOST_PARTS
 from vaoi_station.board_data.panels.step_and_repeat import MOST_BOARDS
 
@@ -76,24 +78,46 @@ def _grouped(members: Iterable[tuple[str, _Member]]) -> dict[str, list[_Member]]
 
 
 def _panel(design: Design, boards: Sequence[Sequence[_Member]]) -> Design:
-    used = {id(member.of) for board in boards for member in board}
-    placed = []
-    for n, k in enumerate(_in_rows([extent(member.at for member in board) for board in boards]), 1):
+    used, placed = {id(member.of) for board in boards for member in board}, []
+    order = _in_rows([extent(member.at for member in board) for board in boards])
+    points = _shared_out(design.net_points, [boards[k] for k in order])
+    for n, k in enumerate(order, 1):
         of = [member.of for member in boards[k]]
         parts, marks = tuple(p for p in of if isinstance(p, Part)), tuple(m for m in of if isinstance(m, Mark))
-        placed.append(PlacedBoard(str(n), str(n), Design(design.name, design.format, parts, marks=marks), Placement()))
+        board = Design(design.name, design.format, parts, marks=marks, net_points=numbered(points[n]))
+        placed.append(PlacedBoard(str(n), str(n), board, Placement()))
     text = (
         "designators occur {count} times, at places that are copies of one another: the file was read as a panel of "
         "{count} boards, whose positions count from 1, from left to right, then upwards."
     )
     parts = tuple(part for part in design.parts if id(part) not in used)
     marks = tuple(mark for mark in design.marks if id(mark) not in used)
-    notes = [noted("read-as-panel", text, count=len(boards))]
-    if design.net_points:
-        text = "the file does not state which of its {count} test points are of which board; they were left out."
-        notes.append(noted("net-points-of-panel", text, count=len(design.net_points)))
-    panel = replace(design, parts=parts, marks=marks, net_points=(), boards=tuple(placed))
-    return panel.with_notes(*notes)
+    panel = replace(design, parts=parts, marks=marks, net_points=numbered(points[0]), boards=tuple(placed))
+    return panel.with_notes(noted("read-as-panel", text, count=len(boards)))
+
+
+def _shared_out(points: Sequence[NetPoint], boards: Sequence[Sequence[_Member]]) -> dict[int, list[NetPoint]]:
+    """Return the test points of each board, from 1, and of the panel, 0.
+
+    A pad is of the board whose part of its designator is next to it, a via of the board that is nearest.
+    """
+    found: dict[int, list[NetPoint]] = {n: [] for n in range(len(boards) + 1)}
+    places: defaultdict[str, list[tuple[XY, int]]] = defaultdict(list)
+    boxes = [extent(member.at for member in board) for board in boards]
+    for n, board in enumerate(boards, 1):
+        for member in board:
+            if isinstance(member.of, Part):
+                places[member.of.ref].append((member.at, n))
+    for point in points:
+        n = 0
+        if point.ref in places:
+            _, n = min(places[point.ref], key=lambda place: dist(place[0], point.at))
+        elif not point.ref:
+            beside = [[max(a - c, c - b, 0.0) for a, b, c in zip(*box, point.at, strict=True)] for box in boxes]
+            n = 1 + min(range(len(boxes)), key=lambda k: sum(d * d for d in beside[k]))
+        stated = not point.ref and point.kind != "via"
+        found[n].append(point if stated else point._replace(name=""))
+    return found
 
 
 def _placed(anchor: Sequence[_Member], group: Sequence[_Member]) -> tuple[_Member, ...]:

@@ -1264,7 +1264,6 @@ const remarks = {
   "marks-found": ({ count, kind, by, names }) => `${count} ${KINDS[kind]}, ${BY[by]}: ${more(names)}.`,
   "net-points-added": ({ count, shift_mm, agree, all }) => `${count} Prüfpunkte aus der Netzliste hinzugefügt, verschoben um (${shift_mm}) mm: ${agree} von ${all} Bauteilen stimmen überein.`,
   "net-points-left-out": ({ count, most }) => `${count} Prüfpunkte sind mehr als ${most}; sie wurden weggelassen.`,
-  "net-points-of-panel": ({ count }) => `Die Datei sagt nicht, welcher ihrer ${count} Prüfpunkte zu welcher Leiterplatte gehört; sie wurden weggelassen.`,
   "notches-cut-off": ({ count, at }) => `${count} Konturen kreuzen den Umriss; was sie einschließen, wurde von ihm abgeschnitten: ab ${more(at)}.`,
   "outline-absent": () => "Die Datei hat keinen Umriss; die Ausdehnung von Bauteilen und Passmarken wird genommen.",
   "outline-elsewhere": () => "Passmarken liegen außerhalb des Umrisses; er wurde weggelassen. Prüfen, ob beide zur selben Leiterplatte gehören.",
