@@ -128,8 +128,6 @@ DOCUMENTS: dict[str, type[BaseModel]] = {
     "A check of a board type": BoardCheck,
     "The manifest of an archived run": ArchivedRun,
 }
-ROOT_TEXTS = {"BoardType": documentation(BoardType)}
-"""Texts of models whose fields have none in the interface."""
 RELEASES = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(OPENAPI.parent.joinpath("released").glob("*.json"))
@@ -223,8 +221,7 @@ def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[
         if name in named:
             continue
         default = "required" if name in needed else "" if schema.get("default") is None else f"`{schema['default']}`"
-        meaning = schema.get("description") or ROOT_TEXTS.get(reference, {}).get(name, "")
-        rows.append((f"`{name}` (body)", meaning, _limits(schema), default))
+        rows.append((f"`{name}` (body)", schema.get("description", ""), _limits(schema), default))
     if rows:
         yield from _table(("parameter", "meaning", "values", "default"), rows)
     replies = {s: r.get("content", {}) for s, r in operation["responses"].items() if s.startswith("2")}

@@ -22,7 +22,9 @@ from vaoi_station.api.limits import ThreadLimit
 from vaoi_station.api.problems import KINDS, MEDIA_TYPE, Fault, Problem
 from vaoi_station.api.repeated_requests import HEADER
 from vaoi_station.api.rest_models import Heartbeat
+from vaoi_station.model import BoardType
 from vaoi_station.runs.states.schemas import EventRecord
+from vaoi_station.settings.keys import documentation, models_of
 
 STREAM = "text/event-stream"
 API = "/api/"
@@ -143,6 +145,10 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
     known["EventStream"] = EVENTS
     for schema in known.values():
         _simplify(schema)
+    # Board types are files, too: their models have texts below the attributes, which FastAPI does not read.
+    for name, held in models_of(BoardType).items():
+        for field, text in documentation(held).items():
+            known.get(name, {}).get("properties", {}).get(field, {}).setdefault("description", text)
     examples = json.loads(_EXAMPLES.read_text(encoding="utf-8"))
     operations = [
         (method, path, operation) for path, all_of in document["paths"].items() for method, operation in all_of.items()
