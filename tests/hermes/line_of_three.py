@@ -1,7 +1,8 @@
 """A line of three machines in simulated time: `python -m tests.hermes.line_of_three --boards 1000 --seed 1`.
 
 The station's own lane, sessions and queue of orders stand between two machines that revoke, time out, die and come back
-at random, and people take boards off the belt. Boards are missed, and the station is killed and starts anew at once.
+at random, and people take boards off the belt and put others in. Boards come late or are missed, orders wait with and
+without ids, and the station is killed and starts anew at once.
 Every byte goes through framing, cut anywhere. The belt knows which board is which: at the next machine each has the id
 of its own message, or one that the station made as it knew none.
 """
@@ -16,7 +17,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tests.runs.run.test_order_queue import an_order
@@ -26,9 +27,11 @@ from vaoi_station.hermes.messages import Message, read_message
 from vaoi_station.hermes.session import Answer, Role, Session, State
 from vaoi_station.line_config import Hermes
 from vaoi_station.model import Reason
-from vaoi_station.runs.run.order_queue import LineBoard, OrderQueue
+from vaoi_station.runs.run.order import Order
+from vaoi_station.runs.run.order_queue import LATE_S, MOST_WAITING, LineBoard, OrderQueue, Queued
+from vaoi_station.runs.run.orders import Orders
 
-STATION = "station"
+STATION, ARMED = "station", an_order()
 STUCK_S = 2000.0
 """Time without a board that moves on after which the line counts as stuck."""
 SHORTEST_S, LONGEST_S = 1.0, 6.0
@@ -44,6 +47,7 @@ class Board:
     id: str
     failed: str
     where: str = "upstream"
+    by_hand: bool = False
 
 
 class World:
@@ -53,6 +57,9 @@ class World:
         self.now_s, self.random = 0.0, random.Random(seed)
         self._due: list[tuple[float, int, Callable[[], object]]] = []
         self._count = itertools.count()
+
+    def number(self) -> int:
+        return next(self._count)
 
     def after(self, delay_s: float, act: Callable[[], object]) -> None:
         heapq.heappush(self._due, (self.now_s + delay_s, next(self._count), act))
@@ -146,45 +153,66 @@ class Wire:
 
 
 class QueuedOrders:
-    """The station's queue of orders in simulated time: every board is of the type with which the line is armed."""
+    """The station's orders in simulated time: the line is armed with the type of all boards, and orders wait too."""
 
-    def __init__(self, world: World) -> None:
-        self._world, self._queue, self._armed = world, OrderQueue((SHORTEST_S, LONGEST_S)), an_order()
+    def __init__(self, world: World, waiting: tuple[Queued, ...] = ()) -> None:
+        self._world, self._orders = world, Orders(queue=OrderQueue((SHORTEST_S, LONGEST_S)))
+        self._taken: dict[str, tuple[Order | None, float, float]] = {}
+        """The order of each run, since when it was known, and the time at the barrier."""
+        self.queue = self._orders.queue
+        self.queue.resume(waiting, world.now_s)
+        self._orders.accept(ARMED, None, world.now_s)
+        self._orders.doubt(world.now_s, world.now_s, "the station was started")
+
+    def post(self, name: str | None) -> None:
+        if len(self.queue.waiting) < MOST_WAITING:
+            number = f"o{self._world.number()}"
+            self.queue.add(Queued(number, replace(ARMED, board_id=name, job_id=name)), self._world.now_s)
 
     def by_messages(self, on: bool) -> None:
-        self._queue.listen(on, self._world.now_s)
+        self.queue.listen(on, self._world.now_s)
 
     def announce(self, lane: int, board: LineBoard) -> tuple[Reason, ...]:
-        self._queue.announce(lane, board, self._armed, self._world.now_s)
+        self.queue.announce(lane, board, ARMED if self._world.random.random() < 0.7 else None, self._world.now_s)
         return self.may_accept(lane)
 
     def withdrawn(self, lane: int) -> tuple[Reason, ...]:
-        self._queue.withdrawn(lane)
+        self.queue.withdrawn(lane)
         return self.may_accept(lane)
 
     def started(self, lane: int) -> tuple[Reason, ...]:
-        self._queue.started(lane, self._world.now_s)
+        self.queue.started(lane, self._world.now_s)
         return self.may_accept(lane)
 
     def finished(self, lane: int, state: Transfer) -> tuple[Reason, ...]:
-        self._queue.finished(lane, state, self._world.now_s)
+        self.queue.finished(lane, state, self._world.now_s)
         return self.may_accept(lane)
 
     def may_accept(self, lane: int) -> tuple[Reason, ...]:
-        self._queue.expire(self._world.now_s)
-        return self._queue.refusals(lane, self._armed)
+        self.queue.expire(self._world.now_s)
+        return self.queue.refusals(lane, ARMED)
 
     def barrier(self, run: str) -> None:
-        self._queue.take(run, self._world.now_s, self._armed)
+        order = self._orders.take(self._world.now_s, run, ARMED)
+        self._taken[run] = order, self._orders.taken_since_s, self._world.now_s
 
     def missed(self) -> None:
-        self._queue.missed(self._world.now_s, self._world.now_s)
+        self.queue.missed(self._world.now_s, self._world.now_s)
+        self._orders.doubt(self._world.now_s, self._world.now_s, "a board passed without a run")
+
+    def of_run(self, run: str) -> Order | None:
+        """Return the order of a run; None if it is not certain."""
+        order, since_s, edge_s = self._taken[run]
+        if self._orders.doubt_of(since_s, edge_s) is None:
+            return order
+        self.queue.disown(run)
+        return None
 
     def board_of_run(self, run: str) -> LineBoard | None:
-        return self._queue.board_of_run(run)
+        return self.queue.board_of_run(run) if run in self._taken and self.of_run(run) is not None else None
 
     def came_failed(self, run: str) -> bool:
-        board = self._queue.board_of_run(run)
+        board = self.queue.board_of_run(run)
         return board is not None and board.failed == "bad"
 
 
@@ -362,13 +390,14 @@ class Line:
     def __init__(self, seed: int, boards: int) -> None:
         self.world = world = World(seed)
         self.score, self._boards, self._made, self._runs = Score(), boards, 0, 0
+        self._by_hand = 0
         self.behind: list[Board] = []
         """Boards behind the cameras, the first one first; a board that the next machine took is not there."""
         self.filmed: list[Board] = []
         """Boards between the barrier and the place behind the cameras, the first one first."""
         self.started: str | None = None
         """The board that the belt moves to the next machine."""
-        self._moved_s = self._filmed_s = 0.0
+        self._moved_s = self._filmed_s = self._arrives_s = 0.0
         self.orders = QueuedOrders(world)
         ends: dict[Side, End] = {"upstream": OfStation("upstream", self), "downstream": OfStation("downstream", self)}
         self._send = lambda side, message: ends[side].send(message)
@@ -379,6 +408,7 @@ class Line:
             Wire(world, ends["downstream"], Downstream(world, self), decisions, "sender"),
         )
         world.after(world.random.uniform(50, 2000), self._restart)
+        world.after(world.random.uniform(20, 300), self._put_in)
         self._tick()
 
     def _new_lane(self) -> Lane:
@@ -387,7 +417,7 @@ class Line:
 
     def run(self) -> Score:
         """Let all boards pass."""
-        while self.score.counts.total() < self._boards:
+        while self.score.counts.total() < self._boards + self._by_hand:
             self.world.step()
             if self.world.now_s - self._moved_s > STUCK_S:
                 sessions = {side: str(session.state) for side, session in self.lane.sessions.items()}
@@ -401,27 +431,47 @@ class Line:
         if self._made == self._boards:
             return None
         self._made += 1
+        board, rng = self._new_board(), self.world.random
+        if rng.random() < 0.5:
+            self.orders.post(board.id if rng.random() < 0.6 else None)
+        return board
+
+    def _new_board(self, *, by_hand: bool = False) -> Board:
         rng = self.world.random
-        return Board(self._made, str(uuid.UUID(int=rng.getrandbits(128))), rng.choice(tuple(FAILED.values())))
+        name = str(uuid.UUID(int=rng.getrandbits(128)))
+        return Board(self._made, name, rng.choice(tuple(FAILED.values())), by_hand=by_hand)
 
     def _end(self, board: Board, how: str) -> None:
         assert board.where != "gone"
         board.where = "gone"
-        self.score.counts[how] += 1
+        self.score.counts[f"put in by hand, {how}" if board.by_hand else how] += 1
         self._moved_s = self.world.now_s
 
     def travels(self, board: Board) -> None:
         if self.world.random.random() < 0.02:
             self._end(board, "taken off before the barrier")
             return
-        self.world.after(self.world.random.uniform(SHORTEST_S, LONGEST_S), lambda: self._barrier(board))
+        late = self.world.random.random() < 0.03
+        self._comes(board, (LONGEST_S, 2 * LONGEST_S + LATE_S) if late else (SHORTEST_S, LONGEST_S))
+
+    def _comes(self, board: Board, way_s: tuple[float, float]) -> None:
+        """Let a board reach the barrier. None overtakes another."""
+        self._arrives_s = max(self._arrives_s + 0.1, self.world.now_s + self.world.random.uniform(*way_s))
+        self.world.after(self._arrives_s - self.world.now_s, lambda: self._barrier(board))
+
+    def _put_in(self) -> None:
+        """A person puts a board on the belt before the barrier, while none can be there that was announced."""
+        self.world.after(self.world.random.uniform(20, 300), self._put_in)
+        if not self.orders.queue._at(self.world.now_s) and self._made < self._boards:
+            self._by_hand += 1
+            self._barrier(self._new_board(by_hand=True))
 
     def stands_between(self, board: Board) -> None:
         # A person takes most of them out; some go on, as late as any board.
         if self.world.random.random() < 0.7:
             self._end(board, "taken off between the machines")
         else:
-            self.world.after(self.world.random.uniform(SHORTEST_S, LONGEST_S), lambda: self._barrier(board))
+            self._comes(board, (SHORTEST_S, LONGEST_S))
 
     def _barrier(self, board: Board) -> None:
         self._runs, board.where, now_s = self._runs + 1, "cameras", self.world.now_s
@@ -444,6 +494,9 @@ class Line:
         board.where = "behind"
         self.behind.append(board)
         if run is not None:
+            order = self.orders.of_run(run)
+            if order is not None and {order.board_id, order.job_id} - {board.id, None}:
+                self.score.wrong.append(f"the run of board {board.number} has the order of {order.board_id}")
             self.lane.run_ended(run, self.world.now_s)
         if self.world.random.random() < 0.03:
             self.world.after(self.world.random.uniform(0, 10), lambda: self._take_off(board))
@@ -456,7 +509,7 @@ class Line:
         for board in self.filmed:
             board.where = "behind"
         self.behind, self.filmed = [*self.behind, *self.filmed], []
-        self.orders = QueuedOrders(self.world)
+        self.orders = QueuedOrders(self.world, self.orders.queue.kept)
         self.orders.by_messages(True)
         self.lane = self._new_lane()
         self.lane.waiting.extend(kept)

@@ -408,6 +408,20 @@ def test_a_board_that_comes_after_its_time_does_not_get_the_id_of_the_next_one(o
     assert orders.uncertain == "board 'late' did not reach the barrier in time, and may come later"
 
 
+def test_a_board_whose_place_a_late_one_took_is_waited_for(orders: Orders) -> None:
+    announce(orders, "late", ORDER)
+    orders.queue.expire(112.0)
+    announce(orders, "next", ORDER, now_s=117.0)
+    assert orders.take(119.1, "r1", ORDER).board_id is None  # type: ignore[union-attr]
+    assert [reason.code for reason in orders.queue.refusals(1, ORDER)] == ["board-in-gap"]
+    announce(orders, "third", ORDER, now_s=120.0)  # a machine that does not wait
+    assert orders.take(122.5, "r2", ORDER).board_id is None, "it is the next one"  # type: ignore[union-attr]
+    orders.queue.expire(125.0)
+    assert orders.queue.refusals(1, ORDER) == ()
+    announce(orders, "fourth", ORDER, now_s=125.0)
+    assert orders.take(128.0, "r3", ORDER).board_id == "fourth"  # type: ignore[union-attr]
+
+
 def test_the_orders_of_boards_on_their_way_follow_the_calibration(orders: Orders) -> None:
     post(orders, "a")
     announce(orders, "a")

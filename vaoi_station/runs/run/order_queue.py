@@ -128,6 +128,8 @@ class OrderQueue:
         """The waiting orders since a time each: the edge of a board decides, but is reported later."""
         self._announced: dict[int, _Announced] = {}
         self._coming: list[_Coming] = []
+        self._displaced: list[_Coming] = []
+        """Doubted boards for which one at the barrier was taken: if it was another, they are still on their way."""
         self._last: _Coming | None = None
         """The board that was taken last."""
         self._boards: OrderedDict[str, LineBoard] = OrderedDict()
@@ -239,6 +241,8 @@ class OrderQueue:
         coming = _Coming(lane, announced, queued, now_s)
         if now_s <= self._silent_until_s:
             coming.doubted = self._silent_why
+        elif (before := next((c for c in self._displaced if self._meets(c, now_s)), None)) is not None:
+            coming.doubted = f"board {before.board.name!r} may still come, as another may have been taken for it"
         self._coming.append(coming)
 
     def finished(self, lane: int, state: Literal["complete", "incomplete", "not-started"], now_s: float) -> None:
@@ -254,8 +258,8 @@ class OrderQueue:
 
     def refusals(self, lane: int, armed: Order | None) -> tuple[Reason, ...]:
         """Return why the next board of a lane must not be sent; `armed` is what the line was armed with."""
-        if self._coming:
-            message = f"Board {self._coming[0].board.name!r} is on its way to the barrier."
+        if on_its_way := [*self._coming, *self._displaced]:
+            message = f"Board {on_its_way[0].board.name!r} is on its way to the barrier."
             return (Reason(code="board-in-gap", message=message, action="Wait until it has reached the barrier."),)
         announced, first = self._announced.get(lane), next(iter(self._announced), lane)
         if announced is None:
@@ -313,6 +317,7 @@ class OrderQueue:
 
     def expire(self, now_s: float) -> list[LineBoard]:
         """Return the boards that should have reached the barrier, and did not; their orders wait again."""
+        self._displaced = [c for c in self._displaced if self._meets(c, now_s)]
         gone = [c for c in self._coming if c.started_s + self.window_s[1] + LATE_S < now_s]
         for coming in gone:
             self._return(coming, now_s)
@@ -339,6 +344,8 @@ class OrderQueue:
         taken = matching[0]
         self._coming.remove(taken)
         self._last = taken
+        if taken.doubted:
+            self._displaced.append(taken)
         if len(matching) > 1:
             names = " and ".join(repr(c.board.name) for c in matching)
             for other in matching[1:]:
@@ -361,6 +368,11 @@ class OrderQueue:
     def _fits(self, coming: _Coming, barrier_s: float) -> bool:
         shortest_s, longest_s = self.window_s
         return coming.started_s + shortest_s <= barrier_s <= coming.started_s + longest_s
+
+    def _meets(self, coming: _Coming, started_s: float) -> bool:
+        """Return whether a board can be at the barrier as late as one whose transport begins at a time."""
+        shortest_s, longest_s = self.window_s
+        return started_s + shortest_s <= coming.started_s + longest_s
 
     def _order_of(self, announced: _Announced) -> Queued | None:
         """Return the waiting order of an announced board: it names the board, or none, and fits its product."""
