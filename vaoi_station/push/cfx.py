@@ -79,7 +79,7 @@ class CfxBroker(Broker):
         host = f"[{config.host}]" if ":" in config.host else config.host
         self._url = f"{'amqps' if config.tls else 'amqp'}://{host}:{port}"
         self.endpoint = Endpoint(handle, name, self._url, config.requests, hermes)
-        self._translator = Translator(handle, facts, events.last + 1)
+        self._translator = Translator(handle, facts, events.last + 1, hermes)
         self._history, self._seen = History(), -LOOK_BACK - 1
         """What the events up to the number `_seen` tell."""
         self._begun: tuple[int, deque[Message]] = (0, deque())

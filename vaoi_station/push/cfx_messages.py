@@ -165,9 +165,12 @@ def identifier(handle: str, *parts: object) -> str:
 class Translator:
     """Turns the events of one station into messages, in the order of the log."""
 
-    def __init__(self, handle: str, facts: Facts, first: int) -> None:
-        """Prepare; events from the number `first` on are those of this start of the station."""
-        self.handle, self._facts, self._first = handle, facts, first
+    def __init__(self, handle: str, facts: Facts, first: int, hermes: bool = False) -> None:
+        """Prepare; events from the number `first` on are those of this start of the station.
+
+        With `hermes`, an id of a board that is a GUID is the BoardId with which the machine upstream announced it.
+        """
+        self.handle, self._facts, self._first, self._hermes = handle, facts, first, hermes
         self._recipe: tuple[str, str | None] | None = None
 
     def messages(self, record: EventRecord, history: History) -> list[Message]:
@@ -304,15 +307,16 @@ class Translator:
             if part.get(name) is not None
         ]
 
-    @staticmethod
-    def _units(run: str, detail: RunDetail | None) -> dict[str, Any]:
+    def _units(self, run: str, detail: RunDetail | None) -> dict[str, Any]:
         """Return the board's id: of its order, else of its code, else `run:` and the id of the station's run.
 
         The list of units stays empty, since the class of a unit has no status by which nothing is said of the board.
         """
         read = detail.identity.board_id if detail and detail.identity else None
-        board = (detail.board_id if detail else None) or read or f"run:{run}"
-        return {"PrimaryIdentifier": board, "HermesIdentifier": None, "UnitCount": 1, "Units": []}
+        ordered = detail.board_id if detail else None
+        announced = ordered if self._hermes and ordered and _is_guid(ordered) else None
+        board = ordered or read or f"run:{run}"
+        return {"PrimaryIdentifier": board, "HermesIdentifier": announced, "UnitCount": 1, "Units": []}
 
 
 def fault_of(handle: str, record: EventRecord) -> dict[str, Any]:
@@ -342,6 +346,13 @@ def span(seconds: float) -> str:
     days = f"{whole.days}." if whole.days else ""
     fraction = f".{whole.microseconds:06d}0" if whole.microseconds else ""
     return f"{days}{minutes // 60:02d}:{minutes % 60:02d}:{rest:02d}{fraction}"
+
+
+def _is_guid(text: str) -> bool:
+    try:
+        return bool(uuid.UUID(text))
+    except ValueError:
+        return False
 
 
 def _duration(begin: str, end: str) -> str:
