@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import socket
 import ssl
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
@@ -15,6 +16,7 @@ from vaoi_station.api.certificate import CertificateFiles, valid_until
 from vaoi_station.config import StationConfig
 from vaoi_station.doctor.finding import Figures, Finding, fault, not_applicable, ok, warning
 from vaoi_station.doctor.machine import is_directory, writable
+from vaoi_station.doctor.machine_checks import CONNECT_S
 from vaoi_station.doctor.running_station import CheckContext
 from vaoi_station.errors import DeviceError, InputError, VaoiError
 from vaoi_station.files import read_calibration
@@ -216,7 +218,7 @@ def station_certificate(context: CheckContext) -> Iterator[Finding]:
 
 
 def receivers(context: CheckContext) -> Iterator[Finding]:
-    """Check the brokers of station.toml. Nothing is sent. The station films without them, but not without a library."""
+    """Check the brokers of station.toml, to which nothing is sent. The station films without them."""
     push = context.config.push
     brokers: dict[str, BrokerConfig] = {
         key: broker for key, broker in (("mqtt", push.mqtt), ("cfx", push.cfx)) if broker is not None
@@ -224,7 +226,7 @@ def receivers(context: CheckContext) -> Iterator[Finding]:
     if not brokers:
         yield not_applicable("no broker is configured")
     for key, broker in brokers.items():
-        problems = list(_broker(key, broker))
+        problems = [*_broker(key, broker), *_reached(key, broker)]
         yield from problems
         if not problems:
             yield ok(f"the {key.upper()} broker {broker.host} can be used")
@@ -243,6 +245,18 @@ def neighbours(context: CheckContext) -> Iterator[Finding]:
         yield warning("product-unusable", message, "Store the board types, or correct the names.", "products")
     else:
         yield ok(f"the board types of {len(hermes.products)} products of the line can be read")
+
+
+def _reached(key: str, broker: BrokerConfig) -> Iterator[Finding]:
+    try:
+        socket.create_connection(broker.place, CONNECT_S).close()
+    except OSError as error:
+        message = f"push.{key}: {broker.host}:{broker.place[1]} is not reached: {error.strerror or error}."
+        action = "Check the broker, its address and the network; the station tries again by itself."
+        if key == "mqtt":
+            yield warning("mqtt-lost", message, action, key)
+        else:
+            yield warning("cfx-lost", message, action, key)
 
 
 def _library(key: str, broker: BrokerConfig) -> Iterator[Finding]:

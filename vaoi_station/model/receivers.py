@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -16,6 +16,8 @@ AmqpAddress = Annotated[str, Field(pattern=r"^[^\s\x00-\x1f]+$", max_length=400)
 class BrokerConfig(Strict):
     """A broker, and how the station logs in."""
 
+    ports: ClassVar[tuple[int, int]]
+    """Its usual ports, without and with TLS."""
     host: Annotated[str, Field(pattern=r"^[A-Za-z0-9._:-]{1,253}$")]
     """Name or address of the broker."""
     port: Annotated[Whole, Field(ge=1, le=65535)] | None = None
@@ -33,6 +35,11 @@ class BrokerConfig(Strict):
     private_key: Path | None = None
     """Private key of the certificate (PEM)."""
 
+    @property
+    def place(self) -> tuple[str, int]:
+        """Host and port."""
+        return self.host, self.port or self.ports[self.tls]
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.certificate is None) != (self.private_key is None):
@@ -47,6 +54,7 @@ class BrokerConfig(Strict):
 class MqttConfig(BrokerConfig):
     """An MQTT broker to which the events are published."""
 
+    ports = (1883, 8883)
     prefix: Annotated[str, Field(pattern=r"^[^+#/\x00-\x1f]+(/[^+#/\x00-\x1f]+)*$", max_length=200)] | None = None
     """First part of all topics; None: `vaoi/` and the name of the station."""
     events: Annotated[tuple[EventType, ...], Field(max_length=50)] = ()
@@ -56,6 +64,7 @@ class MqttConfig(BrokerConfig):
 class CfxConfig(BrokerConfig):
     """A broker of AMQP 1.0 to which the messages of IPC-CFX are published."""
 
+    ports = (5672, 5671)
     port: Annotated[Whole, Field(ge=1, le=65535)] | None = None
     """None: 5671 with TLS, 5672 without."""
     address: AmqpAddress

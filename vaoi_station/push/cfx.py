@@ -75,8 +75,8 @@ class CfxBroker(Broker):
         proton_library.load()
         self._config, self._events, self._limit_s = config, events, limit_s
         handle = config.handle or f"vaoi_station.VideoAOI.{'_'.join(name.replace('.', ' ').split())}"
-        port = config.port or (5671 if config.tls else 5672)
-        host = f"[{config.host}]" if ":" in config.host else config.host
+        host, port = config.place
+        host = f"[{host}]" if ":" in host else host
         self._url = f"{'amqps' if config.tls else 'amqp'}://{host}:{port}"
         self.endpoint = Endpoint(handle, name, self._url, config.requests, hermes)
         self._translator = Translator(handle, facts, events.last + 1, hermes)

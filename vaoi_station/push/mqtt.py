@@ -105,7 +105,7 @@ class MqttBroker(Broker):
 
         client.on_connect = on_connect
         broker = self._broker
-        client.connect(broker.host, broker.port or (8883 if broker.tls else 1883), KEEPALIVE_S)
+        client.connect(*broker.place, KEEPALIVE_S)
         client.loop_start()
         if not replied.wait(self._limit_s):
             raise TimeoutError(f"no reply within {self._limit_s:.0f} s")
