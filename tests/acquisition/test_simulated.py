@@ -119,7 +119,7 @@ def test_a_conveyor_with_an_interlock_lets_one_board_in_for_each_permit(make_con
 def test_the_line_of_the_twin_announces_boards_and_takes_what_is_offered(make_controller: Make) -> None:
     controller, plan, events = make_controller(boards=1, smema=Smema(sides="both"))
     controller.arm(plan)
-    announced = AnnouncedBoards()
+    announced = AnnouncedBoards(30.0)
     while not isinstance(event := events.get(timeout=20.0), BarrierBlocked):
         if isinstance(event, ContactsChanged):
             announced.follow(event)

@@ -95,7 +95,7 @@ class Session:
         self._outdated_until_s = -math.inf
         """Host time before which events are outdated: they belong to a run or pulse that was given up."""
         self._passages = Passages(controller_clock)
-        self.announced = AnnouncedBoards()
+        self.announced = AnnouncedBoards(config.line.transport_s[1])
         self._disarming = False
         self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self.plan is not None)
 
@@ -150,7 +150,6 @@ class Session:
         require_none([*time_faults(plan, self._config), *link_faults(plan, row_s)])
         self._require_clocks(min(CLOCK_LIMIT_S, CLOCK_SHARE * plan.period_s))
         if plan != self.plan:
-            self.announced.forget()
             if self._run is not None:
                 raise StateError("a board is passing; the plan cannot change now.", action="Arm again in a moment.")
             before, self.plan = self.plan, None
