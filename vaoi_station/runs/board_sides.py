@@ -337,7 +337,7 @@ def _of_missing(
         apart_s = _time(recent[0]) - _time(old)
         apart = f"{apart_s / _DAY_S:.1f} days" if apart_s > _DAY_S else f"{apart_s:.0f} s"
         message = f"the {name}, run {old.run}, was filmed {apart} before the other side; the limit is {within_s:g} s"
-        action = "Check that no two boards have this id, film it again, or ask for a longer time."
+        action = "Check clocks, and that no two boards have this id; film it again, or ask for a longer time."
         return [Reason(code="side-too-old", message=message, action=action)]
     message = f"no run shows the {name}"
     reasons = [Reason(code="side-missing", message=message, action="Film it, or ask the station that films it.")]

@@ -79,6 +79,14 @@ def test_a_board_that_was_turned_over_is_expected_as_the_axis_of_the_flip_lets_i
     assert rig.coordinator.finished(first.run).head.rotation_deg == 180
 
 
+def test_the_order_that_a_product_makes_has_nothing_of_one_that_waits(rig: Any) -> None:
+    post(rig, "b1", flip="x", allow_lost_cameras=True)
+    rig.coordinator.orders.announce(1, LineBoard("b7", product="P1", board_type="small"))
+    made = rig.coordinator._core.line.orders.queue.next(None)
+    assert (made.board_id, made.job_id, made.flip, made.despite_lost_cameras) == (None, None, None, False)
+    assert made.line.expected_board.rotation_deg == 0
+
+
 def test_after_a_missed_board_no_order_is_certain_until_the_line_is_armed_again(rig: Any) -> None:
     post(rig, "b1")
     post(rig, "b2")

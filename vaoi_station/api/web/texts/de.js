@@ -1392,7 +1392,7 @@ const translated = {
 const boardSides = {
   "side-missing": "Kein Lauf zeigt diese Seite. Sie aufnehmen oder die Station fragen, die sie aufnimmt.",
   "side-coming": "Eine Seite wird noch aufgenommen oder berechnet, oder ihr Auftrag wartet. Warten, bis ihr Lauf fertig ist.",
-  "side-too-old": "Eine Seite wurde viel früher aufgenommen als die andere. Prüfen, ob zwei Baugruppen diese Nummer haben, sie noch einmal aufnehmen oder nach einer längeren Zeit fragen.",
+  "side-too-old": "Eine Seite wurde viel früher aufgenommen als die andere. Uhren prüfen, und ob zwei Baugruppen diese Nummer haben; sie noch einmal aufnehmen oder nach einer längeren Zeit fragen.",
   "side-degraded": "Die Bilder einer Seite sind nur mit Vorbehalt gut. Die Gründe ihres Laufs ansehen.",
   "side-failed": "Von einer Seite gibt es keine brauchbaren Bilder. Sie noch einmal aufnehmen.",
   "other-station-silent": "Die Station der anderen Seite antwortet nicht. Prüfen, ob sie läuft, das Netzwerk und ihren Schlüssel.",
