@@ -88,6 +88,8 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
         design = join_designs(design, bodies, side)
     if netlist is not None:
         design = with_net_points(design, read_ipc_d356(read_bytes(netlist), netlist), side)
+    if netlist is not None or not options.test_points:
+        design = replace(design, notes=tuple(note for note in design.notes if note.code != "vias-mask-unknown"))
     laid = laid_out(repeated(design, options.grid) if options.grid is not None else design)
     return laid if options.test_points else replace(laid, net_points=())
 

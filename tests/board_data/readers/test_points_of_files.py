@@ -97,6 +97,8 @@ def test_gencad_pins_of_shapes_vias_test_pads_and_test_pins(tmp_path: Path) -> N
     }
     (tmp_path / "u.cad").write_text(GENCAD.replace("SOLDERMASK_", "PASTE_"))
     assert "vias-mask-unknown" in [note.code for note in read_design(tmp_path / "u.cad").notes]
+    without = read_design(tmp_path / "u.cad", Options(test_points=False))
+    assert "vias-mask-unknown" not in [note.code for note in without.notes]
 
 
 def test_ipc_2581_pads_of_pins_and_vias_where_mask_is_open(tmp_path: Path) -> None:
