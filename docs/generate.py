@@ -186,7 +186,8 @@ def _line(value: Any) -> str:
 
 
 def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[str, Any]) -> Iterator[str]:
-    yield f"### {method.upper()} {path.removeprefix('/api/v1/')}"
+    # An underscore before a word would begin italics.
+    yield f"### {method.upper()} {path.removeprefix('/api/v1/')}".replace("_files", r"\_files").replace("}_{", r"}\_{")
     yield ""
     purpose, _, more = operation.get("description", "").partition("\n\n")
     scope = scope_needed(method.upper(), path)
