@@ -193,6 +193,7 @@ def test_a_station_is_backed_up_and_restored(vaoi: Callable[..., Result], tmp_pa
     assert refused.code == 2
     assert "does not exist" in refused.err
     Database(config.data / "station.db").close()
+    KeyFile(config.data / KEY_FILE).create("tester-3", ["operate"])
     made = vaoi("backup", backup, "--config", path, "--recordings")
     assert made.code == 0
     assert f"{backup}: " in made.out
@@ -204,6 +205,8 @@ def test_a_station_is_backed_up_and_restored(vaoi: Callable[..., Result], tmp_pa
     done = vaoi("restore", backup, "--config", path)
     assert done.code == 0
     assert f"not in the backup, put it back: {tmp_path / 'a' / 'station.key'} (api.private_key)" in done.out
+    assert "valid key: tester-3 (operate), made " in done.out
+    assert f"if it was revoked since: vaoi keys revoke tester-3 --config {path}" in done.out
     again = read_config(path)
     assert again == config
     assert again.simulation is not None

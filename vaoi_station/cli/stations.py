@@ -172,7 +172,11 @@ def restore(
         Path, typer.Option(help="Write station.toml here, and the other files to where it says; none may exist.")
     ] = Path("station.toml"),
 ) -> None:
-    """Restore a backup where no station is. Nothing is written before the whole backup was checked."""
+    """Restore a backup where no station is. Nothing is written before the whole backup was checked.
+
+    Prints the files that must be put back, and the keys of callers that are valid: those of the backup.
+    """
+    from vaoi_station.files.access_keys import KEY_FILE, KeyFile
     from vaoi_station.transfer.backup import absent_files
     from vaoi_station.transfer.backup import restore as restore_backup
 
@@ -180,6 +184,11 @@ def restore(
     typer.echo(f"{config}: station {station.name!r} is restored; its data are in {station.data}")
     for key, path in absent_files(station):
         typer.echo(f"not in the backup, put it back: {path} ({key})")
+    for entry in KeyFile(station.data / KEY_FILE).entries():
+        typer.echo(
+            f"valid key: {entry.name} ({', '.join(entry.scopes)}), made {entry.created}; if it was revoked since:"
+            f" vaoi keys revoke {entry.name} --config {config}"
+        )
 
 
 def export(
