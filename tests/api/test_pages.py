@@ -148,3 +148,14 @@ def test_the_documents_are_served_without_a_key(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "docs" / "index.html").unlink()
     assert "docs/build_site" in client.get("/help").text
     audit.close()
+
+
+def test_style_sheets_of_two_views_name_no_element_of_both_but_those_of_a_shared_part() -> None:
+    """All sheets are served as one, so that equal ids would share their rules."""
+    named: dict[str, list[str]] = {}
+    for sheet in sorted((Path(pages.__file__).parent / "web").glob("*/*.css")):
+        for element in set(re.findall(r"#(?![0-9a-f]{3,8}\b)([a-z][a-z-]+)", sheet.read_text(encoding="utf-8"))):
+            named.setdefault(element, []).append(sheet.name)
+    shared = {element: sheets for element, sheets in named.items() if len(sheets) > 1}
+    # The order, the verdict and the decisions of a board are on its page and on the line's.
+    assert shared.keys() == {"board-order", "decisions", "verdict-shape"}, shared

@@ -1,6 +1,6 @@
 // Alle Texte der Seiten auf Deutsch, mit denselben Schlüsseln wie en.js.
 
-// Texte der Seite einer Baugruppe auf Deutsch, mit denselben Schlüsseln wie board_en.js.
+// Texte der Seite einer Baugruppe.
 const board = {
   loading: "Lädt …",
   tabs: "Was von der Baugruppe gezeigt wird",
@@ -55,7 +55,7 @@ const board = {
   sightings: (n) => (n === 0 ? "nicht gefunden" : n === 1 ? "in 1 Einzelbild gesehen" : `in ${n} Einzelbildern gesehen`),
   kept: "aufbewahrtes Bild",
   keptSmall: "Dies ist das kleine Übersichtsbild, das die Station aufbewahrt hat.",
-  tilesFailed: "Ein Stück dieses Bildes konnte nicht geladen werden.",
+  tilesFailed: "Ein Teil dieses Bildes konnte nicht geladen werden.",
   framesGone: (state) =>
     ({ released: "Der Tester hat die Einzelbilder freigegeben.", gone: "Die Einzelbilder wurden durch eine spätere Baugruppe verdrängt, oder die Station wurde neu gestartet." })[state] ?? "Die Einzelbilder sind nicht mehr im Speicher.",
   notRecorded: "Sie wurden nicht aufgezeichnet.",
@@ -70,7 +70,7 @@ const board = {
   likeFiducial: (score) => `Passmarken ähnlich: ${score}`,
   frameStates: { incomplete: "unvollständig", missing: "fehlt", unproven: "nicht erwiesen, dass es zu dieser Reihe gehört" },
 
-  cannotSay: "nicht zu sagen",
+  cannotSay: "keine Aussage möglich",
   cannotSayWhy: {
     unseen: "kein Einzelbild zeigt das ganze Bauteil",
     dark: "in allen Einzelbildern schwarz oder überstrahlt",
@@ -136,7 +136,7 @@ const board = {
   teaching: "Bitte warten …",
   keptAsGood: (n) => `Als gute Baugruppe eingelernt; von diesem Typ gibt es ${n}.`,
   removed: (n) => `Keine gute Baugruppe mehr; von diesem Typ ${n === 1 ? "bleibt 1" : `bleiben ${n}`}. Gespeicherte Messungen bleiben, wie sie sind.`,
-  lookAt: "Diese Bauteile ansehen. Ist eines nicht, wie es sein soll, ist jene Baugruppe doch nicht gut:",
+  lookAt: "Diese Bauteile ansehen. Ist eines davon nicht in Ordnung, ist jene Baugruppe doch nicht gut:",
   wasAbsent: (address) => `${address}: hier als fehlend gemessen`,
   disagrees: (address) => `${address}: sieht anders aus als andere seiner Art auf guten Baugruppen`,
   otherDisagrees: (address, run) => `${address} auf ${run}: sieht anders aus als andere seiner Art auf guten Baugruppen`,
@@ -242,8 +242,8 @@ const cameras = {
     serial: "Kamera", temperature: "Temperatur", ptp: "Uhr über PTP", delivered: "Bilder geliefert", incomplete: "Bilder unvollständig", link: "Datenrate, letzte Baugruppe", drift: "Lage",
     exposure: "Belichtung", gain: "Verstärkung", light: "Licht",
   },
-  drifted: (size, since) => `bewegt um ${size} px seit ${since}`,
-  states: { steady: "wie kalibriert", drifted: "bewegt", unseen: "in den letzten Baugruppen nicht gesehen", unknown: "noch nicht geprüft" },
+  drifted: (size, since) => `um ${size} px verschoben seit ${since}`,
+  states: { steady: "wie kalibriert", drifted: "verschoben", unseen: "in den letzten Baugruppen nicht gesehen", unknown: "noch nicht geprüft" },
   doctor: "Befunde der Untersuchung",
   examine: "Station untersuchen",
   notExamined: "Noch nicht untersucht. „Station untersuchen“ prüft Rechner, Dateien und Geräte und nennt zu jedem Problem eine Abhilfe; es ändert nichts.",
@@ -274,9 +274,9 @@ const cameras = {
     uncalibrated: (name) => `Kamera ${name} wurde getauscht und ist noch nicht kalibriert: Bis dahin sind Baugruppen nur mit Vorbehalt gut.`,
     noBoard: "Die Linie aktivieren, eine Baugruppe durchlaufen lassen und deaktivieren.",
     notYet: (n) => `${n === 1 ? "Eine Baugruppe ist" : `${n} Baugruppen sind`} durchgelaufen; das genügt noch nicht.`,
-    measured: (n, x, y, turn, sigma) => `${n === 1 ? "Eine Baugruppe zeigt" : `${n} Baugruppen zeigen`}, wo sie hängt: Ihr Bild liegt (${x}, ${y}) px neben dem der bisherigen, durch Drehung in den Ecken um ${turn} px, bekannt auf ± ${sigma} px. Die anderen Kameras bleiben, wie sie sind.`,
+    measured: (n, x, y, turn, sigma) => `${n === 1 ? "Eine Baugruppe zeigt" : `${n} Baugruppen zeigen`}, wo sie hängt: Ihr Bild liegt um (${x}, ${y}) px neben dem der bisherigen Kamera, gedreht um ${turn} px in den Ecken, auf ± ${sigma} px genau. Die anderen Kameras bleiben, wie sie sind.`,
     confirm: (name) => `Kalibrierung von Kamera ${name} bestätigen`,
-    confirmed: (name, sigma) => `Die Kalibrierung von Kamera ${name} gilt jetzt, bekannt auf ± ${sigma} px.`,
+    confirmed: (name, sigma) => `Die Kalibrierung von Kamera ${name} gilt jetzt, auf ± ${sigma} px genau.`,
   },
   trial: {
     title: "Eine Kamera einstellen",
@@ -306,7 +306,7 @@ const lights = {
     request: "Was Sie eintragen, ist noch nicht gespeichert.",
     "board-type": "Das Programm dieses Baugruppentyps.",
     station: "Dieser Baugruppentyp hat kein Programm. Seine Reihen werden mit dem Programm der Station aufgenommen:",
-    cameras: "Dieser Baugruppentyp hat kein Programm, auch die Station nicht. Reihen werden abwechselnd mit den Lichtern der Station aufgenommen, mit den Belichtungen der Kameras:",
+    cameras: "Weder dieser Baugruppentyp noch die Station hat ein Programm. Reihen werden abwechselnd mit den Lichtern der Station aufgenommen, mit den Belichtungen der Kameras:",
   },
   begin: "Programm beginnen",
   noLights: "Die Station nennt keine Lichter: Alle Reihen werden gleich aufgenommen, mit den Werten der Kameras in station.toml.",
@@ -334,7 +334,7 @@ const lights = {
   copy: (row) => `Reihe ${row} kopieren`,
   remove: (row) => `Reihe ${row} löschen`,
   usable: "Die Station kann mit diesem Programm aufnehmen.",
-  usableSoFar: "Gegen dieses Programm wurde nichts gefunden, aber nicht alles konnte geprüft werden.",
+  usableSoFar: "Bisher spricht nichts gegen dieses Programm, aber nicht alles konnte geprüft werden.",
   faults: (n) => (n === 1 ? "Die Station lehnt dieses Programm ab:" : `Die Station lehnt dieses Programm aus ${n} Gründen ab:`),
   where: (row, camera) => [row === null ? "" : `Reihe ${row}`, camera ?? ""].filter(Boolean).join(", "),
   unchecked: "Noch nicht geprüft:",
@@ -384,7 +384,7 @@ const trends = {
   mark: (kind, type, before, after) => `${kind}${type ? ` von ${type}` : ""}: ${before || "keine"} → ${after || "keine"}`,
   compare: "Vergleichen",
   choices: { day: "heute mit gestern", hour: "letzte Stunde mit der davor", week: "letzte 7 Tage mit den 7 davor" },
-  sinceMark: (kind, time) => `seit ${time} (${kind}) mit davor`,
+  sinceMark: (kind, time) => `seit ${time} (${kind}) mit der Zeit davor`,
   versus: (before, now) => `${before} davor, ${now} jetzt`,
   few: "Zu wenige Baugruppen für einen Vergleich: jeder Zeitraum braucht 5.",
   unchanged: "Kein Wert hat sich um mehr als seine Streuung von Baugruppe zu Baugruppe geändert.",
@@ -949,7 +949,7 @@ const reasons = {
 };
 
 // Gründe, Warnungen und Ereignisse der Station nach ihrem Code: was ist, und was zu tun ist. Codes: docs/codes.md.
-const LATER = "Kommt es wieder, dem Hersteller melden.";
+const LATER = "Wenn es wieder auftritt, dem Hersteller melden.";
 const NOTHING = "Nichts zu tun.";
 
 const warnings = {
@@ -1016,7 +1016,7 @@ const warnings = {
   "cfx-lost": ["Der Broker für IPC-CFX ist nicht zu erreichen, oder er weist die Station ab.", "Broker, Adresse, Benutzer und Zertifikat prüfen; die Station versucht es weiter."],
   "mqtt-lost": ["Der Broker ist nicht zu erreichen, oder er weist die Station ab.", "Broker, Adresse, Benutzer und Zertifikat prüfen; die Station versucht es weiter."],
   "board-in-gap": ["Eine Baugruppe ist auf dem Weg zur Lichtschranke.", "Warten, bis sie dort ist."],
-  "board-flipped": ["Die angekündigte Baugruppe liegt mit der anderen Seite nach oben, als ihr Auftrag aufnimmt.", "Baugruppe wenden oder einen Auftrag für diese Seite anlegen."],
+  "board-flipped": ["Die angekündigte Baugruppe liegt falsch herum: Oben ist nicht die Seite, die ihr Auftrag aufnimmt.", "Baugruppe wenden oder einen Auftrag für diese Seite anlegen."],
   "neighbour-lost": ["Eine Maschine der Linie ist nicht verbunden.", "Maschine einschalten, Kabel und Adresse in [hermes] prüfen; die Station versucht es weiter."],
   "line-address": ["Eine Adresse aus [hermes] ist auf diesem Rechner nicht zu benutzen.", "Adresse berichtigen oder das Programm beenden, das den Port belegt."],
   "board-between-machines": ["Eine Baugruppe steht zwischen zwei Maschinen, oder es ist unbekannt, welche von beiden sie hat.", "Herausnehmen, wenn sie dort steht; dann auf der Seite „Sie ist entnommen“ drücken."],
@@ -1121,7 +1121,7 @@ const findings = {
   "address-refused": ["Diese Kamera nimmt ihre neue Adresse nicht an oder behält sie nicht.", "Aus- und wieder einstecken, dann noch einmal; sonst das Werkzeug des Herstellers verwenden."],
   "camera-free-running": ["Diese Kamera sendet Einzelbilder ohne Trigger.", "Ihren Triggereingang prüfen."],
   "camera-stopped-replying": ["Diese Kamera hat während der Prüfung aufgehört zu antworten.", "Kabel und Stromversorgung prüfen; aus- und einschalten."],
-  "camera-remark": ["Die Station meldet etwas zu dieser Kamera.", "Tun, was die Meldung verlangt; Kabel, Stecker und Switch dieser Kamera prüfen, dann eine Baugruppe durchlaufen lassen."],
+  "camera-remark": ["Die Station meldet etwas zu dieser Kamera.", "Der Meldung folgen; Kabel, Stecker und Switch dieser Kamera prüfen, dann eine Baugruppe durchlaufen lassen."],
   "cameras-unreported": ["Ein anderer Prozess benutzt die Kameras und meldet ihren Zustand nicht; sie wurden nicht geöffnet.", "Diesen Prozess beenden, dann noch einmal untersuchen."],
   "camera-without-trigger": ["Diese Kamera hat keinen Trigger über eine Leitung.", "Eine Kamera mit Triggereingang verwenden."],
   "camera-without-input": ["Diese Kamera hat den eingestellten Triggereingang nicht.", "trigger_line in station.toml auf einen ihrer Eingänge setzen."],
@@ -1371,7 +1371,7 @@ const translated = {
     "no-reference": "Dieser Typ hat keine Referenz.",
     "not-a-reference": "Dieser Lauf taugt nicht als Referenz.",
     "other-board-type": "Der Lauf zeigt einen anderen Baugruppentyp.",
-  "reference-unusable": "Die Referenz ist unbrauchbar.",
+    "reference-unusable": "Die Referenz ist unbrauchbar.",
     "too-few-fiducials": "Der Baugruppentyp hat weniger als zwei Passmarken.",
     "no-cad-mapping": "Die Lage der Baugruppe ist in diesem Lauf nicht bekannt.",
     "no-working-distance": "Die Kalibrierung nennt den Abstand der Kameras nicht.",
@@ -1427,7 +1427,7 @@ export const texts = {
   soundOff: "Ton aus",
   key: "Schlüssel",
   logIn: "Anmelden",
-  wrongKey: "Dieser Schlüssel gilt nicht. Prüfen Sie, ob er vollständig ist, oder verlangen Sie einen neuen.",
+  wrongKey: "Dieser Schlüssel gilt nicht. Prüfen Sie, ob er vollständig ist, oder lassen Sie sich einen neuen geben.",
   logInTitle: "Diese Station verlangt einen Schlüssel",
   logInHelp: "Den Schlüssel gibt der Administrator der Station aus (vaoi keys create). Die Anmeldung gilt 12 Stunden, nur in diesem Browser.",
   logOut: "Abmelden",
@@ -1452,7 +1452,7 @@ export const texts = {
     filming: "Aufnahme",
     blocked: "Speicher voll",
     faulted: "Störung",
-    stopping: "Stoppt",
+    stopping: "Wird beendet",
     unknown: "Keine Daten",
     failed: "Unbrauchbar",
     degraded: "Prüfen",
@@ -1461,16 +1461,16 @@ export const texts = {
   orders: {
     starting: "Baugruppen zurückhalten. Warten.",
     idle: "Typ wählen, Aktivieren drücken.",
-    arming: "Nächste zurückhalten.",
-    armed: "Nächste einlassen.",
-    lacking: "Nächste zurückhalten.",
-    held: "Nächste zurückhalten.",
-    filming: "Nicht berühren.",
-    blocked: "Nächste zurückhalten.",
+    arming: "Nächste Baugruppe zurückhalten.",
+    armed: "Nächste Baugruppe einlassen.",
+    lacking: "Nächste Baugruppe zurückhalten.",
+    held: "Nächste Baugruppe zurückhalten.",
+    filming: "Baugruppe nicht berühren.",
+    blocked: "Nächste Baugruppe zurückhalten.",
     faulted: "Baugruppen zurückhalten. Techniker rufen.",
-    stopping: "Nächste zurückhalten.",
-    unknown: "Zurückhalten. Station und Netz prüfen.",
-    missed: "Eine wurde nicht aufgenommen. Neu aufnehmen.",
+    stopping: "Nächste Baugruppe zurückhalten.",
+    unknown: "Baugruppen zurückhalten. Station und Netz prüfen.",
+    missed: "Eine Baugruppe wurde nicht aufgenommen. Neu aufnehmen.",
   },
   extra: {
     camera: "Kamerakabel prüfen.",
@@ -1479,7 +1479,7 @@ export const texts = {
     wait: "Warten.",
     engineer: "Techniker rufen.",
     identify: "Mit ihrer Nummer neu aktivieren.",
-    board: "Baugruppe aus der Lichtschranke nehmen.",
+    board: "Lichtschranke freimachen.",
     belt: "Band starten.",
   },
   boardOrders: {
@@ -1493,7 +1493,7 @@ export const texts = {
     camera: "Techniker rufen: Kameras.",
     type: "Techniker rufen: Typdaten.",
   },
-  boardOf: (id, time) => (id ? `Nr. ${id}` : time ? `Die von ${time}` : "Die letzte"),
+  boardOf: (id, time) => (id ? `Nr. ${id}` : time ? `Baugruppe von ${time}` : "Letzte Baugruppe"),
   noPicturesOf: (board, order) => `${board}: keine Bilder. ${order}`,
   doubtfulPicturesOf: (board, order) => `${board}: ${order}`,
   nextTry: (name, time) => `Nächster Versuch für ${name}: ${time}.`,
@@ -1504,7 +1504,7 @@ export const texts = {
   boardType: "Typ",
   boardId: "Nummer",
   arm: "Aktivieren",
-  armAnyway: "Ohne diese Kamera",
+  armAnyway: "Ohne diese Kamera aktivieren",
   disarm: "Deaktivieren: halten",
   armedWith: (armed, lost, held) =>
     [held ? `Wartet mit ${armed.board_type}` : `Aktiv für ${armed.board_type}`, armed.board_id && `Nr. ${armed.board_id}`, armed.job_id && `Auftrag ${armed.job_id}`, lost.length && `ohne ${lost.join(", ")}`]
@@ -1522,7 +1522,7 @@ export const texts = {
     "board-type-retired": "Dieser Typ wird nicht mehr aufgenommen. Anderen wählen.",
     "invalid-input": "Typ oder Nummer ist für die Station unbrauchbar. Techniker rufen.",
     "no-reference": "Dieser Typ hat keine Referenz. Techniker rufen.",
-  "reference-unusable": "Die Referenz dieses Typs ist unbrauchbar. Techniker rufen.",
+    "reference-unusable": "Die Referenz dieses Typs ist unbrauchbar. Techniker rufen.",
     "ring-full": "Der Speicher ist voll. Warten, dann noch einmal drücken.",
     "wrong-state": "Jetzt nicht möglich. Anweisung oben befolgen, dann noch einmal drücken.",
     "arming-failed": "Die Geräte haben nicht rechtzeitig geantwortet. Noch einmal drücken.",
@@ -1555,8 +1555,8 @@ export const texts = {
   skippedBoards: (list) => `Übersprungen: Leiterplatte ${list.join(", ")}`,
   unseenCount: (n) => (n === 1 ? "1 Bauteil nicht gesehen" : `${n} Bauteile nicht gesehen`),
   filmAgain: "Neu aufnehmen",
-  use: "Trotzdem nutzen",
-  decided: { "film-again": (name) => `Wird neu aufgenommen (${name})`, use: (name) => `Genutzt, entschieden von ${name}` },
+  use: "Trotzdem verwenden",
+  decided: { "film-again": (name) => `Wird neu aufgenommen (${name})`, use: (name) => `Wird trotzdem verwendet (${name})` },
   yourName: "Ihr Name",
   reason: "Grund",
   cancel: "Abbrechen",
@@ -1603,8 +1603,8 @@ export const texts = {
   noVerdict: "ohne Ergebnis",
   show: "Zeigen",
   more: "Weitere",
-  csv: "Als CSV sichern",
-  nothingFound: "Keine Baugruppe passt dazu.",
+  csv: "Als CSV speichern",
+  nothingFound: "Keine Baugruppe gefunden.",
   searching: "Wird gesucht …",
   cut: (n) => `Die Datei hat die neuesten ${n} Baugruppen. Für ältere einen früheren Zeitraum wählen.`,
   columns: {

@@ -13,7 +13,7 @@ const PART = `
   <h2 data-text="trends.compare"></h2>
   <select id="compare-choice" data-label="trends.compare"></select>
 </div>
-<p id="compare-answer" role="status"></p>
+<p id="trend-compare-answer" role="status"></p>
 <ol id="changes"></ol>`;
 
 export class Comparison extends View {
@@ -24,7 +24,7 @@ export class Comparison extends View {
 
   // onChosen(changes): a person has chosen which spans are compared.
   constructor(choice, onChosen) {
-    super(PART, make("section", { id: "compare" }));
+    super(PART, make("section", { id: "trend-compare" }));
     this.choice = this.part("compare-choice");
     this.choice.addEventListener("change", () => {
       this.#wanted = this.choice.value;
@@ -69,7 +69,7 @@ export class Comparison extends View {
     const words = texts.trends;
     const sizes = words.versus(words.boards(found.before_boards), found.boards);
     const said = !found.changes.length ? words.few : changed.length ? words.changed(changed.length) : words.unchanged;
-    setText(this.part("compare-answer"), `${said} (${sizes})`);
+    setText(this.part("trend-compare-answer"), `${said} (${sizes})`);
     this.part("changes").replaceChildren(...changed.slice(0, MOST_SHOWN).map((change) => this.#row(change)));
     return found.changes;
   }
