@@ -158,9 +158,7 @@ class OrderRequests:
     def _made(self, board_type: str) -> Order:
         """Make an order; of alike ones that wait all share the data of their board type, which may be large."""
         order = self._make_order(self._board_type(board_type), None, None)
-        alike = self._inbox.ask(lambda: self._core.line.orders.queue.shared(order))
-        # It may wait for a board of its own: nothing of that board is for another one.
-        return replace(alike.for_board(None, None), despite_lost_cameras=False)
+        return self._inbox.ask(lambda: self._core.line.orders.queue.shared(order))
 
     def _listed(self) -> OrderList:
         orders = self._core.line.orders

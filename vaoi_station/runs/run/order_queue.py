@@ -187,9 +187,10 @@ class OrderQueue:
         self._arrange(tuple(replace(queued, since_s=known_s) for queued in self.waiting), now_s)
 
     def shared(self, order: Order) -> Order:
-        """Return a waiting order that films the same, or the given one: board types may be large."""
-        alike = (queued.order for queued in self.kept if _origin(queued.order) == _origin(order))
-        return next(alike, order)
+        """Return an order with the data of a waiting one that films the same: board types may be large."""
+        alike = next((queued.order for queued in self.kept if _origin(queued.order) == _origin(order)), order)
+        # Nothing of the board for which that one waits is for another board.
+        return replace(alike.for_board(None, None), despite_lost_cameras=False)
 
     def stale(self, calibration: str) -> list[Order]:
         """Return the orders that were made with another calibration than the one with this digest."""
