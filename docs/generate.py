@@ -70,6 +70,9 @@ station shows this page with forms under `/docs`.
 Every address may refuse with 400 (malformed), 401 (key needed), 403 (beyond the key's scope), 408 and 413 (body too
 slow, too large), 421 (unknown host name), 422 (a value outside its limits), 500 and 503 (busy). A refusal is a problem
 document with a `code` ([codes](../codes.md)). `GET` with `If-None-Match` gives 304.
+
+Try an address: `curl "http://127.0.0.1:8350/api/v1/runs?limit=1"`; with another method `curl -X PUT "…"`, with a body
+`curl --json '{…}' "…"`.
 """
 COMMANDS_HEAD = """# Commands
 
@@ -227,7 +230,7 @@ def _operation(method: str, path: str, operation: dict[str, Any], schemas: dict[
         yield from _table(("parameter", "meaning", "values", "default"), rows)
     replies = {s: r.get("content", {}) for s, r in operation["responses"].items() if s.startswith("2")}
     sent = _example(wanted)
-    if not sent and not any(map(_example, replies.values())):
+    if not sent and (wanted or not any(map(_example, replies.values()))):
         yield f"Example: `{_request(method, path, parameters)}`\n"
     if sent:
         yield f"Body:\n\n```json\n{sent}\n```\n"
@@ -366,6 +369,7 @@ def _models(model: type[BaseModel], path: str = "") -> Iterator[tuple[str, type[
         if (found := _inner(field.annotation)) and name != PROPOSAL:
             where = f"{path}.{name}{found[1]}" if path else name + found[1]
             text = documentation(model).get(name) or field.description or ""
+            text += " Required." if text and field.is_required() else ""
             inside.append((where, found[0], text))
     for where, held, text in inside:
         yield where, held, text
