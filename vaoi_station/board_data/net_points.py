@@ -14,6 +14,7 @@ import numpy as np
 
 from vaoi_station.board_data.design import XY, Design, NetPoint, Side, extent, noted
 from vaoi_station.errors import InputError
+from vaoi_station.model.reason import Note
 
 _SAME_MM = 0.03
 """Largest difference of the shifts of two parts whose pads lie evenly about their middle."""
@@ -59,6 +60,13 @@ def unmasked(points: Sequence[NetPoint], openings: Mapping[Side, Openings]) -> I
             for s in sides
         )
         yield point._replace(on_top=top, on_bottom=bottom)
+
+
+def vias_without_mask(points: Iterable[NetPoint], states_mask: bool) -> list[Note]:
+    """Return a note if there are vias, and the file states no solder mask."""
+    count = 0 if states_mask else sum(point.kind == "via" for point in points)
+    text = "the file does not state which of its {count} vias solder mask covers; all count as test points."
+    return [noted("vias-mask-unknown", text, count=count)] if count else []
 
 
 def numbered(points: Iterable[NetPoint]) -> tuple[NetPoint, ...]:

@@ -34,7 +34,7 @@ GENCAD = """$HEADER\nGENCAD 1.4\nUNITS MM\n$ENDHEADER
 $PADS\nPAD P ROUND 0\nCIRCLE 0 0 0.4\nPAD Q ROUND 0\nCIRCLE 0 0 0.8\n$ENDPADS
 $PADSTACKS\nPADSTACK S 0\nPAD P TOP 0 0\nPAD P SOLDERMASK_TOP 0 0\nPADSTACK T 1\nPAD Q TOP 0 0\nPAD Q BOTTOM 0 0
 PADSTACK V 0.3\nPAD P TOP 0 0\nPAD P BOTTOM 0 0\nPADSTACK O 0.3\nPAD P TOP 0 0\nPAD P BOTTOM 0 0\nPAD P SOLDERMASK_BOTTOM 0 0\n$ENDPADSTACKS
-$SHAPES\nSHAPE R\nPIN 1 S -1 0 TOP 0 0\nSHAPE J\nPIN 1 T 0 0 TOP 0 0\n$ENDSHAPES
+$SHAPES\nSHAPE R\nPIN 1 S -1 0 TOP 0 0\nPIN 2 P 1 0 TOP 0 0\nPIN 2 P 1 0 BOTTOM 0 0\nSHAPE J\nPIN 1 T 0 0 TOP 0 0\n$ENDSHAPES
 $COMPONENTS\nCOMPONENT R1\nPLACE 10 10\nLAYER TOP\nROTATION 90\nSHAPE R 0 0\nCOMPONENT J1\nPLACE 30 20\nLAYER BOTTOM\nROTATION 0\nSHAPE J MIRRORX FLIP\n$ENDCOMPONENTS
 $SIGNALS\nSIGNAL GND\nNODE R1 1\nSIGNAL 3V3\nNODE J1 1\n$ENDSIGNALS
 $ROUTES\nROUTE GND\nVIA V 5 5 ALL 0.3 v1\nVIA O 6 5 ALL 0.3 v2\nTESTPAD S 20 5 0 0 TP9\n$ENDROUTES
@@ -90,6 +90,7 @@ def test_kicad_pads_by_their_layers_and_vias_that_are_not_tented(tmp_path: Path)
 def test_gencad_pins_of_shapes_vias_test_pads_and_test_pins(tmp_path: Path) -> None:
     assert short(points(tmp_path, "b.cad", GENCAD.encode())) == {
         "R1-1": (10, 9, "GND", "pad", "T", 0.8),
+        "R1-2": (10, 11, "", "pin", "TB", None),
         "J1-1": (30, 20, "3V3", "pin", "TB", 1.6),
         "VIA GND#2": (6, 5, "GND", "via", "B", 0.8),
         "TP9": (20, 5, "GND", "pad", "T", 0.8),
@@ -107,6 +108,8 @@ def test_ipc_2581_pads_of_pins_and_vias_where_mask_is_open(tmp_path: Path) -> No
     assert found["R1-1"] == (10, 9, "GND", "pad", "T", pytest.approx(0.8, abs=0.01))
     assert found["J1-1"][3:5] == ("pin", "TB")
     assert found["VIA GND#2"][4] == "T"
+    (tmp_path / "u.xml").write_text(IPC2581.replace("SOLDERMASK", "SOLDERPASTE"))
+    assert "vias-mask-unknown" in [note.code for note in read_design(tmp_path / "u.xml").notes]
 
 
 def test_odb_toeprints_on_copper_and_vias_of_nets(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from vaoi_station.board_data.design import (
     normalised,
     noted,
 )
-from vaoi_station.board_data.net_points import numbered
+from vaoi_station.board_data.net_points import numbered, vias_without_mask
 from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts, rules_of
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
@@ -58,6 +58,8 @@ class _ShapePin(NamedTuple):
     name: str
     stack: str
     at: XY
+    layer: str
+    """Of a pin that names a pad instead of a stack: TOP or BOTTOM; such a pin has a line for each."""
     degrees: float
 
 
@@ -99,10 +101,7 @@ def read_gencad(data: bytes, path: Path) -> Design:
     if unknown:
         text = "{count} components are not placed; they were left out: {names}."
         notes.append(noted("parts-not-placed", text, count=len(unknown), names=", ".join(sorted(unknown)[:8])))
-    vias = sum(point.kind == "via" for point in points)
-    if vias and not reader.states_mask:
-        text = "the file does not state which of its {count} vias solder mask covers; all count as test points."
-        notes.append(noted("vias-mask-unknown", text, count=vias))
+    notes += vias_without_mask(points, reader.states_mask)
     return Design(
         name,
         "gencad",
@@ -235,8 +234,11 @@ class _Reader:
         for of, name in zip(drawn, shapes, strict=True):
             part, side = of.part, of.part.side
             at = rules[side, of.word].place(part)
+            lines = dict[tuple[str, XY], tuple[_ShapePin, set[str]]]()
             for pin in self._shapes.get(name, _Shape()).pins:
-                copper = {"TOP", "BOTTOM"} & self._layers.get(pin.stack, {"TOP"})
+                own = self._layers.get(pin.stack, {pin.layer if pin.layer == "BOTTOM" else "TOP"})
+                lines.setdefault((pin.name, pin.at), (pin, set()))[1].update({"TOP", "BOTTOM"} & own)
+            for pin, copper in lines.values():
                 if not copper:
                     continue
                 through = len(copper) > 1
@@ -281,7 +283,9 @@ class _Reader:
                 shape = found[words[1]] = _Shape()
             elif kind == "PIN" and len(words) > 5:
                 x, y = self._numbers(line, 3, 2)
-                shape.pins.append(_ShapePin(words[1], words[2], (x, y), number_of(line.word(6)) or 0.0))
+                shape.pins.append(
+                    _ShapePin(words[1], words[2], (x, y), words[5].upper(), number_of(line.word(6)) or 0.0)
+                )
             elif kind == "HEIGHT":
                 shape.height = self._numbers(line, 1, 1)[0]
             elif piece := self._piece(line):

@@ -29,7 +29,7 @@ from vaoi_station.board_data.design import (
     box_around,
     noted,
 )
-from vaoi_station.board_data.net_points import Openings, numbered, unmasked
+from vaoi_station.board_data.net_points import Openings, numbered, unmasked, vias_without_mask
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.board_data.panels.step_and_repeat import stated_count
 from vaoi_station.board_data.pin_rules import DrawnPart, Pin, Rule, placed_parts
@@ -162,6 +162,10 @@ class _Reader:
         if absent:
             text = "{count} packages are not described: {names}."
             notes.append(noted("packages-not-described", text, count=len(absent), names=", ".join(sorted(absent)[:8])))
+        # Pins of another datum than the parts would lie beside the board.
+        moved = any(note.code == "pins-of-other-datum" for note in notes)
+        net_points = () if moved else numbered(self._net_points(step))
+        notes += vias_without_mask(net_points, "SOLDERMASK" in self._functions.values())
         profile = step.find("Profile")
         outline = self._polygon(profile.find("Polygon")) if profile is not None else []
         cut_outs = [self._polygon(c) for c in profile.iter("Cutout")] if profile is not None else []
@@ -172,8 +176,7 @@ class _Reader:
             tuple(outline),
             tuple(map(tuple, cut_outs)),
             marks=tuple(self._marks(step)),
-            # Pins of another datum than the parts would lie beside the board.
-            net_points=() if any(n.code == "pins-of-other-datum" for n in notes) else numbered(self._net_points(step)),
+            net_points=net_points,
             notes=tuple(notes),
         )
 

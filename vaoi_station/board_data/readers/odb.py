@@ -33,7 +33,7 @@ from vaoi_station.board_data.design import (
     noted,
     places,
 )
-from vaoi_station.board_data.net_points import Openings, numbered, unmasked
+from vaoi_station.board_data.net_points import Openings, numbered, unmasked, vias_without_mask
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.pin_rules import DrawnPart, Rule, placed_parts
 from vaoi_station.board_data.readers import unix_compress
@@ -213,6 +213,7 @@ class _Job:
         # Pins of another datum than the parts would lie beside the board.
         moved = any(note.code == "pins-of-other-datum" for note in notes)
         net_points = () if moved else numbered(unmasked([*_net_points(copper_of(eda), pins, layers)], openings))
+        notes += vias_without_mask(net_points, bool(openings))
         profile = self._file(f"{folder}/profile")
         outline, cut_outs = _board(list(_contours(profile)) if profile else [], [part.origin for part in parts], notes)
         return Design(
