@@ -114,7 +114,7 @@ def run_detail(board_id: str | None = "B-7", read: str | None = None, **more: An
     return SimpleNamespace(**found | {"identity": identity} | more)
 
 
-def translator(detail: Any = None, parts: Mapping[str, Any] | None = None, first: int = 1) -> Translator:
+def translator(detail: Any = None, parts: Mapping[str, Any] | None = None) -> Translator:
     def run(_: str) -> Any:
         if detail is None:
             raise NotFoundError("There is no such run.")
@@ -126,7 +126,7 @@ def translator(detail: Any = None, parts: Mapping[str, Any] | None = None, first
 
     content = None if parts is None else json.dumps({"parts": parts}).encode()
     snapshot: Any = None
-    return Translator(HANDLE, Facts(snapshot, run, figures, lambda _: content), first)
+    return Translator(HANDLE, Facts(snapshot, run, figures, lambda _: content))
 
 
 def bodies(made: Translator, record: EventRecord, history: History | None = None) -> list[tuple[str, Any]]:
@@ -246,18 +246,19 @@ def test_a_recipe_is_activated_once_until_another_comes() -> None:
 
 
 def test_states_have_their_predecessor_also_over_a_stop_and_a_crash() -> None:
-    made, history = translator(first=5), History()
+    made, history = translator(), History(first=5)
     records = [
         event(1, "station", "armed"), event(2, "station", "stopping"), event(4, "station", "armed"),
-        event(6, "station", "idle"), event(9, "station", "armed"),
+        event(6, "station", "idle"), event(7, "station", "arming"), event(9, "station", "armed"),
     ]  # fmt: skip
     found = []
     for record in records:
         found.append(bodies(made, record, history))
         history.add([record])
-    (_, (_, off)), started, crashed, ((_, changed),) = found[1], found[2], found[3], found[4]
+    (_, (_, off)), started, crashed, none, ((_, changed),) = found[1:]
     assert [name for name, _ in found[1]] == ["StationStateChanged", "StationOffline"]
     assert off == {}
+    assert none == [], "two states of the station are one of CFX, and its time is that of both"
     assert started[0] == ("StationOnline", {"OfflineDuration": "00:00:02"})
     # The events from number 5 on are those of another start, before which nothing was written.
     assert crashed[0] == ("StationOnline", {"OfflineDuration": None})

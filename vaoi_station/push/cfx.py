@@ -79,12 +79,13 @@ class CfxBroker(Broker):
         host = f"[{host}]" if ":" in host else host
         self._url = f"{'amqps' if config.tls else 'amqp'}://{host}:{port}"
         self.endpoint = Endpoint(handle, name, self._url, config.requests, hermes)
-        self._translator = Translator(handle, facts, events.last + 1, hermes)
-        self._history, self._seen = History(), -LOOK_BACK - 1
+        self._translator = Translator(handle, facts, hermes)
+        self._first = events.last + 1
+        self._history, self._seen = History(self._first), -LOOK_BACK - 1
         """What the events up to the number `_seen` tell."""
         self._begun: tuple[int, deque[Message]] = (0, deque())
         """Number of the event that is being sent, and what is left of its messages."""
-        standing = self._before(events.last + 1)
+        standing = self._before(self._first)
         self._watch, self._looked_s = FaultWatch(events.add, facts.snapshot, standing.faults), 0.0
         self._connection: BlockingConnection | None = None
         self._sender: BlockingSender | None = None
@@ -106,7 +107,8 @@ class CfxBroker(Broker):
             sender = self._connected()
             if record.number - self._seen > LOOK_BACK:  # at the start, and after events that were skipped
                 earlier, self._history, self._seen = self._history, self._before(record.number), record.number - 1
-                self._history.station = self._history.station or earlier.station
+                if self._history.station is None:
+                    self._history.station, self._history.since = earlier.station, earlier.since
             if self._begun[0] != record.number:
                 self._begun = (record.number, deque(self._messages(record)))
             left = self._begun[1]
@@ -147,7 +149,7 @@ class CfxBroker(Broker):
 
     def _before(self, number: int) -> History:
         """Return what the events before one tell."""
-        history, after = History(), max(0, number - 1 - LOOK_BACK)
+        history, after = History(self._first), max(0, number - 1 - LOOK_BACK)
         if number > 1:
             history.add(record for record in self._events.read(after, 0.0, LOOK_BACK) if record.number < number)
         return history

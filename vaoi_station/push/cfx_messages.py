@@ -51,7 +51,7 @@ SOURCES = {
     f"{_WORK}.TestAndInspection.UnitsInspected": "CFX/Production/TestAndInspection/UnitsInspected.cs",
 }
 """Every message that the station sends, and its class."""
-STATES = {
+STATES: dict[str, str] = {
     StationState.STARTING: "6500",
     StationState.IDLE: "2000",
     StationState.ARMING: "2000",
@@ -102,8 +102,12 @@ class Message(NamedTuple):
 class History:
     """What earlier events tell about a later one."""
 
+    first: int = 0
+    """Number from which on the events are those of this start of the station."""
     station: EventRecord | None = None
     """The latest event of the station's state."""
+    since: str = ""
+    """Time since when the state of CFX, which several of the station share, is what it is."""
     faults: dict[str, EventRecord] = field(default_factory=dict)
     """The event with which each condition that lasts began, by its code."""
 
@@ -111,11 +115,19 @@ class History:
         """Take the next events into account."""
         for record in records:
             if record.kind == "station" and record.state in STATES:
-                self.station = record
+                before, self.station = self.station, record
+                if before is None or self.is_start(record, before) or STATES[before.state] != STATES[record.state]:
+                    self.since = record.time
             elif record.kind == FAULT and record.state == "over":
                 self.faults.pop(record.code, None)
             elif record.kind == FAULT:
                 self.faults[record.code] = record
+
+    def is_start(self, record: EventRecord, before: EventRecord | None) -> bool:
+        """Return whether an event of the station's state is the first one after a start; `before` is the one before."""
+        if before is not None and before.state == StationState.STOPPING:
+            return True
+        return record.number >= self.first and (before is None or before.number < self.first)
 
 
 class FaultWatch:
@@ -165,19 +177,16 @@ def identifier(handle: str, *parts: object) -> str:
 class Translator:
     """Turns the events of one station into messages, in the order of the log."""
 
-    def __init__(self, handle: str, facts: Facts, first: int, hermes: bool = False) -> None:
-        """Prepare; events from the number `first` on are those of this start of the station.
-
-        With `hermes`, an id of a board that is a GUID is the BoardId with which the machine upstream announced it.
-        """
-        self.handle, self._facts, self._first, self._hermes = handle, facts, first, hermes
+    def __init__(self, handle: str, facts: Facts, hermes: bool = False) -> None:
+        """Prepare; with `hermes`, an id of a board that is a GUID is the BoardId of the machine upstream."""
+        self.handle, self._facts, self._hermes = handle, facts, hermes
         self._recipe: tuple[str, str | None] | None = None
 
     def messages(self, record: EventRecord, history: History) -> list[Message]:
         """Return the messages of an event; `history` is that of the events before. Errors of the facts are raised."""
         bodies: list[tuple[str, dict[str, Any]]] = []
         if record.kind == "station" and record.state in STATES:
-            bodies = self._state(record, history.station)
+            bodies = self._state(record, history)
         elif record.kind == FAULT:
             bodies = self._fault(record, history.faults.get(record.code))
         elif record.run is not None and record.kind == "run":
@@ -191,15 +200,16 @@ class Translator:
             for name, body in bodies
         ]
 
-    def _state(self, record: EventRecord, before: EventRecord | None) -> list[tuple[str, dict[str, Any]]]:
+    def _state(self, record: EventRecord, history: History) -> list[tuple[str, dict[str, Any]]]:
+        before = history.station
+        started = history.is_start(record, before)
+        known = None if before is None else _duration(history.since, record.time)
         ended = before is not None and before.state == StationState.STOPPING
-        started = ended or ((before is None or before.number < self._first) and record.number >= self._first)
-        known = None if before is None else _duration(before.time, record.time)
-        old = StationState.STARTING if started or before is None else StationState(before.state)
+        old = StationState.STARTING if started or before is None else before.state
         change = {
             "OldState": STATES[old],
             "OldStateDuration": None if started else known,
-            "NewState": STATES[StationState(record.state)],
+            "NewState": STATES[record.state],
             "RelatedFault": None,
         }
         found: list[tuple[str, dict[str, Any]]] = []
