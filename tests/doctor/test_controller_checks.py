@@ -12,7 +12,7 @@ import pytest
 from tests.acquisition.controller.serial.fake_firmware import fake_firmware
 from tests.doctor.conftest import assert_problem, changed, only
 from vaoi_station.acquisition.clocks import ClockReading
-from vaoi_station.acquisition.controller.protocol import Ident
+from vaoi_station.acquisition.controller.protocol import Fault, Ident, State, Status
 from vaoi_station.config import ControllerConfig, LightConfig, StationConfig
 from vaoi_station.doctor import controller_checks
 from vaoi_station.doctor.controller_checks import toggle_line_output
@@ -28,6 +28,15 @@ def test_controller_of_a_running_station_is_reported_by_it(config: StationConfig
     assert only(controller_checks.controller(known)).message == "armed"
     unknown = CheckContext(config, Machine(), RunningProcess(4711, {"state": "starting"}))
     assert only(controller_checks.controller(unknown)).level is Level.OK
+
+
+@pytest.mark.parametrize(("cause", "checks_leds"), [(Fault.HEARTBEAT, False), (Fault.GUARD, True)])
+def test_a_controller_in_its_safe_state_says_what_to_check_first(cause: Fault, checks_leds: bool) -> None:
+    status = replace(Status.unpack(bytes(Status.LAYOUT.size)), state=State.SAFE, fault=cause)
+    finding = controller_checks.judge_status(status)
+    assert (finding.code, finding.level) == ("controller-safe", Level.WARNING)
+    assert ("LED drivers" in finding.action) is checks_leds
+    assert finding.action.endswith("Start the station, which disarms it.")
 
 
 @pytest.mark.parametrize(("delay", "count"), [("16", 1), ("2", 1), ("1", 0), (None, 0)])
