@@ -229,3 +229,15 @@ def test_two_hundred_readings_of_four_hundred_fiducials_are_matched_and_a_swap_i
     answer = clamp(film, request(readings))  # type: ignore[arg-type]
     assert codes(answer) == ["reading-wrong", "reading-wrong"]
     assert f"M{chosen[3]} is left out: it is at the place of M{chosen[7]}" in answer.reasons[0].message
+
+
+def test_two_fiducials_that_were_filmed_at_one_place_show_no_turn() -> None:
+    film = filmed()
+    seen = [{**entry} for entry in film.result.quality["fiducials"]]
+    apart = (film.places[1] - film.places[0]) * film.px_per_mm
+    seen[0]["residual_px"] = tuple(apart.tolist())
+    alike = filmed(quality={**film.result.quality, "fiducials": seen})
+    near = (Reading(fiducial="F1", x=0.0, y=0.0), Reading(fiducial="F2", x=30.0, y=0.0))
+    answer = clamp(alike, request(near, sigma=9.0))
+    assert answer.status is Status.FAILED
+    assert not answer.points

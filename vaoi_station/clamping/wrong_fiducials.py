@@ -75,7 +75,8 @@ def assignments(
     i, j, between = i[far], j[far], between[far]
     granted = _LEAST_MM + _SIGMAS * (np.hypot(sigma[i], sigma[j]) + ppm * 1e-6 * between)
     best, every = Assignment(np.full(count, -1), 0.0), np.arange(count)
-    starts = np.stack([i, j, named[i], named[j]], 1)[np.abs(apart[named[i], named[j]] - between) <= granted]
+    own = apart[named[i], named[j]]
+    starts = np.stack([i, j, named[i], named[j]], 1)[(np.abs(own - between) <= granted) & (own > 0)]
     if len(starts):
         back, reach = as_filmed(starts, every)
         fits = np.abs(back - place[named]) <= reach
