@@ -70,8 +70,6 @@ def test_each_camera_has_a_card_that_follows_its_frames(
     expect(page.locator("#doctor-answer")).to_contain_text("1 of 2 findings need attention.")
     expect(page.locator("#doctor-findings li")).to_have_text(re.compile("Warning: cameras, cam2.*Change the cable."))
     expect(cards.nth(2).locator(".camera-remarks")).to_contain_text("12 packets lost. Change the cable.")
-    if PICTURES:
-        page.screenshot(path=Path(PICTURES) / "page-cameras.png")
 
 
 def found_by_the_doctor() -> Report:

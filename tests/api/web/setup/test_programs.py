@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +10,6 @@ from playwright.sync_api import Page, expect
 
 FOUND_NOTHING = re.compile("The station can film with this program|Nothing was found against")
 pytestmark = pytest.mark.browser
-PICTURES = os.environ.get("VAOI_PICTURES")
 PROGRAM = ({"light": "even", "exposure_us": (400.0,)}, {"light": "left", "on_us": 60.0, "exposure_us": (100.0,)})
 
 
@@ -39,9 +36,6 @@ def test_a_program_is_edited_checked_and_stored(page: Page, engineer: Any, fits:
     expect(page.get_by_label("On-time, µs, row 1")).to_have_attribute("aria-invalid", "true")
     expect(page.locator(".program-timeline .wrong")).to_have_count(1)
     expect(page.locator(".program-timeline .limit")).not_to_have_count(0)
-    if PICTURES:
-        page.set_viewport_size({"width": 1280, "height": 1500})
-        page.screenshot(path=Path(PICTURES) / "lights" / "program.png")
     page.get_by_role("button", name="Store the program").click()
     assert station.types["demo-board"].program is None, "what arming would refuse is not stored"
     page.get_by_label("On-time, µs, row 1").fill("many")

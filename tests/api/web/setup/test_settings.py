@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,6 @@ from playwright.sync_api import Page, expect
 from vaoi_station.config import read_config
 
 pytestmark = pytest.mark.browser
-
-PICTURES = os.environ.get("VAOI_PICTURES")
-"""Directory into which the picture of the guide is written, if it is named (docs/pictures)."""
 
 
 def _open(page: Page, title: str) -> Any:
@@ -126,11 +122,3 @@ def test_tables_are_added_and_removed_and_a_protected_file_is_taken(
     with page.expect_download() as download:
         page.get_by_role("button", name="Download the new file").click()
     assert "workers = 4" in download.value.path().read_text()
-    if PICTURES:
-        page.reload()
-        page.locator("#setting-workers").fill("4")
-        _open(page, "[line]").get_by_label("tail_s, s").fill("-1")
-        page.keyboard.press("Tab")
-        expect(page.locator(".settings-side .faults button")).to_have_count(1)
-        page.set_viewport_size({"width": 1280, "height": 1000})
-        page.screenshot(path=Path(PICTURES) / "set-up" / "settings.png")
