@@ -211,6 +211,16 @@ def test_a_supervisory_system_hears_of_boards_and_reads_the_configuration(tmp_pa
         assert peer.next("BoardArrived").get("BoardTransfer") == "3"
 
 
+def test_what_a_supervisory_system_must_not_send_is_shown(tmp_path: Path, port: int) -> None:
+    table = {"listen": f"127.0.0.1:{port}", "supervisor": f"127.0.0.1:{(above := free_port())}"}
+    with PlayedStation(tmp_path, **table).running() as station, closing(station.connect(above)) as connection:
+        peer = Peer(connection)
+        connection.sendall(BOMB)
+        assert peer.next("Notification").get("NotificationCode") == "1"
+        assert [record.code for record in station.events.records] == ["neighbour-refused"]
+        assert "document type" in station.service.status().messages[-1].fault
+
+
 def test_connections_of_supervisory_systems_are_few_and_must_say_something(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

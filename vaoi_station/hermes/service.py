@@ -73,6 +73,7 @@ _RESET = struct.pack("ii", 1, 0)
 """Option of a socket whose end resets the connection."""
 TAP_SOCKET, FILE = "hermes-tap.sock", "hermes.json"
 FORMAT, VERSION = "vaoi-hermes", 1
+_AGAIN = "It connects again by itself; tell the maker of that machine if it repeats."
 _ENDED = frozenset({"ready", "degraded", "failed"})
 """States of a run that has ended, in which its matrices are safe."""
 
@@ -375,12 +376,16 @@ class HermesService:
         while "downstream" in self._links and time.monotonic() - begun_s < YIELD_S:
             await asyncio.sleep(YIELD_S / 10)
         if "downstream" in self._links:
-            text = "the lane is taken by another connection"
-            self._note("downstream", notification(REFUSED, ERROR, text), sent=True, fault=f"from {_peer(writer)}")
-            writer.write(notification(REFUSED, ERROR, text).to_bytes())
+            self._refuse("downstream", "the lane is taken by another connection", writer)
             await _closed(writer)
             return
         await self._talk("downstream", "sender", reader, writer)
+
+    def _refuse(self, side: str, text: str, writer: asyncio.StreamWriter) -> None:
+        """Tell a machine that there is no room for its connection."""
+        said = notification(REFUSED, ERROR, text)
+        self._note(side, said, sent=True, fault=f"from {_peer(writer)}")
+        writer.write(said.to_bytes())
 
     async def _talk(self, side: Side, role: Role, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one connection until either side ends it."""
@@ -434,8 +439,7 @@ class HermesService:
         if answer.close:
             link.end = answer.close
             text = f"The connection to the {link.side} machine {link.address} was ended: {answer.close}."
-            action = "The neighbours connect again by themselves; tell the maker of that machine if it repeats."
-            self._publish("trouble", text, code="neighbour-refused", action=action)
+            self._publish("trouble", text, code="neighbour-refused", action=_AGAIN)
         elif answer.news is not None and answer.news.tag == "ServiceDescription":
             self._lost_s.pop(link.side, None)
             name = answer.news.get("MachineId")
@@ -462,7 +466,7 @@ class HermesService:
         """Serve a supervisory system until either side ends the connection."""
         # One that has not said who it is counts as well, as do the neighbours.
         if len(self._open) >= MOST_SUPERVISORS + 2:
-            writer.write(notification(REFUSED, ERROR, f"{MOST_SUPERVISORS} systems are connected").to_bytes())
+            self._refuse("supervisor", f"{MOST_SUPERVISORS} systems are connected", writer)
             await _closed(writer)
             return
         _tune(writer)
@@ -483,6 +487,9 @@ class HermesService:
                             writer.write(reply.to_bytes())
                     await writer.drain()
         except ProtocolError as error:
+            self._note("supervisor", Message("no message"), fault=str(error))
+            text = f"The connection of the supervisory system {_peer(writer)} was ended: {error}."
+            self._publish("trouble", text, code="neighbour-refused", action=_AGAIN)
             writer.write(notification(PROTOCOL_ERROR, FATAL, str(error)).to_bytes())
         except OSError:
             pass  # it is gone, or has sent no message
