@@ -431,7 +431,7 @@ class HermesService:
                     return
         except ProtocolError as error:
             self._note(link.side, Message("no message"), fault=str(error))
-            self._apply(link, link.session.broken(error))
+            self._apply(link, link.session.refuse(str(error)))
 
     def _apply(self, link: _Link, answer: Answer) -> None:
         for message in answer.send:

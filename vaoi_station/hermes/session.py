@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
-from vaoi_station.hermes.messages import VERSION, Message, ProtocolError, listed
+from vaoi_station.hermes.messages import VERSION, Message, listed
 
 HANDSHAKE_S = 20.0
 """Time in which a neighbour says who it is. A connection without it would keep the lane from others."""
@@ -210,10 +210,6 @@ class Session:
         """End the connection because of what the neighbour did, and say so."""
         self.state = State.CLOSED
         return Answer((notification(PROTOCOL_ERROR, FATAL, why),), close=why)
-
-    def broken(self, error: ProtocolError) -> Answer:
-        """End the connection because of bytes that are no message."""
-        return self.refuse(str(error))
 
 
 def notification(code: int, severity: int, text: str) -> Message:
