@@ -42,7 +42,7 @@ ELSEWHERE = {
 """Pages whose commands another test runs."""
 NOT_RUN = {
     r"(apt|dpkg|pip|python3 -m venv|\S*pip-audit|\.ci/run|tests/|deploy/build|pip)\b": "installs, or runs all tests",
-    r"(install|ln|sed|chgrp|udevadm|sysctl|ip|nginx|systemd-\S+|du|journalctl|curl)\b": "is about the machine",
+    r"(install|ln|sed|chgrp|udevadm|sysctl|ip|nginx|systemd-\S+|journalctl|curl)\b": "is about the machine",
     r"make\b|hw/firmware/|python3 deploy/": "builds the firmware or the package: tests/hw and tests/deploy do",
     r"(api|at\(\)|show)\b|get ": "talks to a running station: tests/system/test_demo.py runs this search",
     r"vaoi serve": "does not end",
