@@ -62,11 +62,17 @@ class Broker(MessagingHandler):  # type: ignore[misc]
         self.released = False
         """Whether messages are given back, as if nobody received them."""
         self.longest = 0
+        self.refused = ""
+        """At a sender to this address the broker ends the connection; it gives again what was not accepted."""
+        self.given: list[Any] = []
+        """All messages that went to receivers, also repeatedly."""
         self._changed, self._thread = threading.Condition(), threading.Thread()
 
     def start(self) -> None:
         self._queues: dict[str, deque[Any]] = {}
         self._receivers: dict[str, list[Any]] = {}
+        self._open: dict[tuple[str, str], tuple[str, Any]] = {}
+        """Address and message of what no receiver has accepted yet, by link and tag of the delivery."""
         self._ready = threading.Event()
         self._connections: list[Any] = []
         self._container, self._injector = Container(self), EventInjector()
@@ -108,7 +114,14 @@ class Broker(MessagingHandler):  # type: ignore[misc]
 
     def on_link_opening(self, event: Any) -> None:
         link = event.link
-        if link.is_sender:
+        if link.is_receiver and self.refused == link.remote_target.address:
+            self._receivers.clear()
+            for address, message in reversed(self._open.values()):
+                self._queues[address].appendleft(message)
+            self._open.clear()
+            event.transport.close_tail()
+            event.transport.close_head()
+        elif link.is_sender:
             link.source.address = link.remote_source.address
             self._receivers.setdefault(link.source.address, []).append(link)
         else:
@@ -130,6 +143,9 @@ class Broker(MessagingHandler):  # type: ignore[misc]
             self._changed.notify_all()
         self._serve(address)
 
+    def on_accepted(self, event: Any) -> None:
+        self._open.pop((event.link.name, event.delivery.tag), None)
+
     def on_sendable(self, event: Any) -> None:
         self._serve(event.sender.source.address)
 
@@ -137,7 +153,8 @@ class Broker(MessagingHandler):  # type: ignore[misc]
         queue = self._queues.get(address, deque())
         for link in self._receivers.get(address, ()):
             while queue and link.credit > 0:
-                link.send(queue.popleft())
+                self.given.append(queue.popleft())
+                self._open[link.name, link.send(self.given[-1]).tag] = address, self.given[-1]
 
     def messages(self, count: int, address: str = "cfx") -> list[Any]:
         """Wait until `count` messages have come to an address; return all of them."""

@@ -26,6 +26,9 @@ class EventList:
                 self._changed.wait(left)
             return tuple(record for record in self.records if record.number > after)[:limit]
 
+    def latest(self, kind: str, before: int) -> tuple[EventRecord, ...]:
+        return tuple({r.code: r for r in self.records if r.kind == kind and r.number < before}.values())
+
     def add(
         self, kind: str, message: str, *, state: str = "", run: str | None = None, code: str = "", action: str = ""
     ) -> EventRecord:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ from vaoi_station.model import Reason
 from vaoi_station.model.receivers import CfxConfig
 from vaoi_station.push import cfx, publisher
 from vaoi_station.push.cfx import CfxBroker
-from vaoi_station.push.cfx_messages import Facts
+from vaoi_station.push.cfx_messages import Facts, fault_of
 from vaoi_station.push.publisher import Publisher
 
 HANDLE = "vaoi_station.VideoAOI.line-3"
@@ -152,6 +153,67 @@ def test_requests_are_answered_where_they_ask_for_it(broker: Broker, events: Eve
     made.close()
 
 
+def test_a_request_whose_answer_breaks_the_connection_comes_once_and_is_answered_elsewhere_next_time(
+    broker: Broker, events: EventList
+) -> None:
+    broker.refused = "nowhere"
+    made = connection(broker.port, events, requests="line-3", limit_s=1.0)
+
+    def asked(number: str) -> None:
+        body = {"MessageName": "CFX.AreYouThereRequest", "RequestID": number, "MessageBody": {}}
+        ask(broker.port, "line-3", body, "nowhere")
+
+    made.idle()
+    asked("1")
+    until(lambda: (outcome := made.idle()) and not outcome.delivered)
+    assert made.send(events.add("run", "a", state="stitching", run="r1")).delivered
+    asked("2")
+    until(lambda: made.idle() or "AreYouThereResponse" in names(broker.documents(0)))
+    made.close()
+    assert [d["RequestID"] for d in broker.documents(0) if "Response" in d["MessageName"]] == ["2"]
+    assert names(broker.documents(0)).count("EndpointConnected") == 2
+    assert len(broker.given) == 2, "each request came once"
+
+
+def test_waiting_does_not_last_until_a_clock_that_is_set_back_is_right_again(
+    broker: Broker, events: EventList, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def set_back() -> float:
+        asked.append(1e9 - 3600 * len(asked))
+        assert len(asked) < 100
+        return asked[-1]
+
+    made = connection(broker.port, events)
+    made.idle()
+    monkeypatch.setattr(time, "time", set_back)
+    made.idle()
+    monkeypatch.undo()
+    made.close()
+
+
+def test_conditions_that_last_longer_than_the_last_events_are_not_told_again_and_end(
+    broker: Broker, events: EventList, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cfx, "LOOK_BACK", 3)
+    lost = Reason(code="camera-lost", message="Camera 1 is lost.", action="Check the cable.")
+    begun = events.add("fault", lost.message, state="error", code=lost.code)
+    for _ in range(5):
+        events.add("push", "x")
+    reasons = [lost]
+    made = connection(broker.port, events, lambda: SimpleNamespace(state="idle", warnings=(), reasons=reasons))
+    for _ in range(2):
+        made._looked_s = 0.0
+        made.tend()
+        reasons.clear()
+    (over,) = events.records[6:]
+    assert made.send(over).delivered
+    made.close()
+    (cleared,) = [d["MessageBody"] for d in broker.documents(0) if d["MessageName"].endswith("FaultCleared")]
+    assert cleared["FaultOccurrenceId"] == fault_of(HANDLE, begun)["FaultOccurrenceId"]
+
+
 def test_conditions_that_begin_and_end_are_faults_with_one_id(broker: Broker, events: EventList) -> None:
     lost = Reason(code="camera-lost", message="Camera 1 is lost.", action="Check the cable.")
     states = iter([(lost,), (lost,), ()])
@@ -238,7 +300,7 @@ def test_a_broker_that_is_absent_silent_or_has_no_receiver_keeps_the_event(broke
 
 
 def test_a_message_that_the_broker_can_never_take_is_reported_and_left_out(broker: Broker, events: EventList) -> None:
-    broker.longest = 800
+    broker.longest = 1200  # as it is without the properties, the second message would fit
     made = connection(broker.port, events)
     assert made.send(events.add("run", "x", state="ready", run="r1")).delivered
     assert made.send(events.add("run", "y", state="stitching", run="r1")).delivered

@@ -201,7 +201,10 @@ def test_the_board_is_that_of_the_order_or_of_the_code_or_the_run(detail: Any, e
             assert unit["UnitIdentifier"] == expected
 
 
-@pytest.mark.parametrize(("board", "hermes"), [("B-7", False), ("b8c1c0de-0000-4000-8000-123456789abc", True)])
+@pytest.mark.parametrize(
+    ("board", "hermes"),
+    [("B-7", False), ("0" * 32, False), ("b8c1c0de-0000-4000-8000-123456789abc", True)],
+)
 def test_the_id_with_which_hermes_announced_a_board_is_named_as_such(board: str, hermes: bool) -> None:
     made = translator(run_detail(board))
     made._hermes = True

@@ -22,6 +22,7 @@ from vaoi_station.model.receivers import CfxConfig
 from vaoi_station.push import proton_library
 from vaoi_station.push.broker import LIMIT_S, OWN_KIND, Broker, Outcome
 from vaoi_station.push.cfx_messages import (
+    FAULT,
     KINDS,
     Endpoint,
     Facts,
@@ -46,7 +47,7 @@ SILENCE_S = 15.0
 LOOK_S = 1.0
 """Shortest time between two comparisons of the station's conditions, s."""
 LOOK_BACK = 2_000
-"""Number of events before the first one, in which its state before and conditions that last are looked for."""
+"""Number of events before the first one in which the state before it is looked for."""
 MOST_ANSWERS, LONGEST_REQUEST = 20, 65_536
 """Requests that are answered in one go, and the longest one that is read, bytes."""
 READ_S = 0.05
@@ -92,6 +93,8 @@ class CfxBroker(Broker):
         self._receiver: BlockingReceiver | None = None
         self._ways: dict[str, BlockingSender] = {}
         """The ways to those who have asked, by their addresses."""
+        self._breaking = deque[str](maxlen=MOST_ANSWERS)
+        """Addresses for answers at which the connection broke."""
         self._beaten_s = 0.0
 
     def tend(self) -> None:
@@ -151,6 +154,7 @@ class CfxBroker(Broker):
         """Return what the events before one tell."""
         history, after = History(self._first), max(0, number - 1 - LOOK_BACK)
         if number > 1:
+            history.add(self._events.latest(FAULT, number))
             history.add(record for record in self._events.read(after, 0.0, LOOK_BACK) if record.number < number)
         return history
 
@@ -200,7 +204,7 @@ class CfxBroker(Broker):
         from proton import ConnectionException, Delivery
 
         wrapped = self._wrapped(message)
-        size, limit = len(wrapped.body), sender.link.remote_max_message_size
+        size, limit = len(wrapped.encode()), sender.link.remote_max_message_size
         if limit and size > limit:
             # It would be refused again and again, and hold up all that follow.
             self._leave_out(f"{message.name} of event {event}: {size} bytes, it takes {limit}")
@@ -265,8 +269,10 @@ class CfxBroker(Broker):
             if receiver is None:
                 break
             request = receiver.receive()
-            # First: one whose answer breaks the connection must not come again and again.
+            # First: one whose answer breaks the connection must not come again and again. The library would open the
+            # way for the answer before it writes this.
             receiver.accept()
+            self._connection.wait(self._is_written)
             receiver.link.flow(1)
             self._answer(sender, request)
         if time.monotonic() - self._beaten_s >= self._config.heartbeat_s:
@@ -278,9 +284,15 @@ class CfxBroker(Broker):
             }
             self._send(sender, live("CFX.Heartbeat", body))
 
+    def _is_written(self) -> bool:
+        """Return whether the socket has taken all that the library has to say."""
+        assert self._connection is not None, "the request has come by it"
+        transport = self._connection.conn.transport
+        return transport is None or transport.pending() <= 0
+
     def _answer(self, sender: BlockingSender, request: Any) -> None:
         """Answer one request where it asks for it, else where all messages go."""
-        from proton import LinkException
+        from proton import ProtonException
 
         content = request.body.encode() if isinstance(request.body, str) else request.body
         if not isinstance(content, bytes | memoryview) or len(content) > LONGEST_REQUEST:
@@ -292,20 +304,31 @@ class CfxBroker(Broker):
         answer = self.endpoint.answer(document) if isinstance(document, dict) else None
         if answer is None:
             return
+        to = None if request.reply_to in self._breaking else request.reply_to
+        try:
+            self._send((self._way(to, answer.id) if to else None) or sender, answer)
+        except ProtonException:
+            if to:
+                self._breaking.append(to)
+            raise
+
+    def _way(self, address: str, name: str) -> BlockingSender | None:
+        """Return the way to one who has asked; None if the broker has no such address."""
+        from proton import LinkException
+
         assert self._connection is not None, "the request has come by it"
-        way = self._ways.get(request.reply_to)
-        if request.reply_to and way is None:
+        if (way := self._ways.get(address)) is None:
             try:
-                way = self._connection.create_sender(request.reply_to, name=answer.id)
+                way = self._connection.create_sender(address, name=name)
             except LinkException as error:
                 # The official library writes a handle there, which is no address of a broker.
-                _log.info("CFX: no way to %s for an answer: %s", request.reply_to, error)
-            else:
-                # They stay open: RabbitMQ does not confirm that one is closed.
-                self._ways[request.reply_to] = way
-                if len(self._ways) > MOST_ANSWERS:
-                    self._ways.pop(next(iter(self._ways))).link.close()
-        self._send(way or sender, answer)
+                _log.info("CFX: no way to %s for an answer: %s", address, error)
+                return None
+            # They stay open: RabbitMQ does not confirm that one is closed.
+            self._ways[address] = way
+            if len(self._ways) > MOST_ANSWERS:
+                self._ways.pop(next(iter(self._ways))).link.close()
+        return way
 
     def _failed(self, error: Exception) -> Outcome:
         self._drop()

@@ -360,7 +360,7 @@ def span(seconds: float) -> str:
 
 def _is_guid(text: str) -> bool:
     try:
-        return bool(uuid.UUID(text))
+        return str(uuid.UUID(text)) == text.lower()
     except ValueError:
         return False
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import time
 from importlib.machinery import PathFinder
+from types import SimpleNamespace
 
 from vaoi_station.acquisition.cameras.aravis.library import SYSTEM_PACKAGES
 from vaoi_station.errors import DeviceError
 
 _MODULES = ("_cproton", "cproton", "proton")
 """Modules of Debian's package, each of which needs those before."""
+_TIMED = ("_utils", "_reactor", "_io", "_handlers")
+"""Modules of the library that read the clock, all of them for waiting times."""
 
 
 def load() -> None:
@@ -18,7 +22,7 @@ def load() -> None:
     try:
         if importlib.util.find_spec("proton") is None:
             _load_from_distribution()
-        import proton.utils  # noqa: F401  a library of another Python fails here
+        import proton.utils  # a library of another Python fails here
     except ImportError as error:
         raise DeviceError(
             f"push.cfx is set, but Qpid Proton cannot be used: {error}.",
@@ -26,6 +30,10 @@ def load() -> None:
             "or pip install 'vaoi-station[cfx]'.",
             code="cfx-package-absent",
         ) from error
+    # With the time of day, a wait would last for as long as the clock is set back meanwhile.
+    for module in (getattr(proton, name, None) for name in _TIMED):
+        if hasattr(module, "time"):
+            vars(module)["time"] = SimpleNamespace(time=time.monotonic, sleep=time.sleep)
 
 
 def _load_from_distribution() -> None:

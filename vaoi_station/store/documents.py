@@ -436,6 +436,13 @@ class Store:
         query = "SELECT document FROM events WHERE number > ? ORDER BY number LIMIT ?"
         return self.database.column(query, (after, limit))
 
+    def latest_events(self, kind: str, before: int) -> list[str]:
+        """Return the latest event of each code of a kind, of those numbered below `before`."""
+        query = """SELECT document, max(number) FROM events WHERE number < ? AND instr(document, ?)
+                   AND json_valid(document) AND json_extract(document, '$.kind') = ?
+                   GROUP BY json_extract(document, '$.code')"""
+        return self.database.column(query, (before, f'"{kind}"', kind))
+
     def last_event(self) -> int:
         """Return the number of the newest event; 0 before the first."""
         return int(self.database.value("SELECT coalesce(max(number), 0) FROM events"))

@@ -32,3 +32,12 @@ def test_old_events_come_from_the_store(store: Store) -> None:
     store.set_state("no run", "gone").result(10)
     assert [e.number for e in log.read(module.RECENT, 0, 10)] == [module.RECENT + k for k in range(1, 6)]
     assert [e.number for e in log.read(1, 0, 2)] == [2, 3]
+
+
+def test_the_latest_event_of_each_code_is_found_however_old_it_is(store: Store) -> None:
+    log = EventLog(store)
+    for code, state in (("a", "error"), ("b", "error"), ("a", "over"), ("b", "over")):
+        log.add("fault", "x", code=code, state=state)
+    log.add("run", "fault", code="c")
+    store.set_state("no run", "gone").result(10)
+    assert sorted((e.code, e.state) for e in log.latest("fault", 4)) == [("a", "over"), ("b", "error")]

@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 from pydantic import ValidationError
@@ -89,7 +89,11 @@ class EventLog:
                     return ()
             if self._recent and self._recent[0].number <= after + 1:
                 return tuple(e for e in self._recent if e.number > after)[:limit]
-        return tuple(record for text in self._store.events(after, limit) if (record := _parsed(text)) is not None)
+        return _all_parsed(self._store.events(after, limit))
+
+    def latest(self, kind: str, before: int) -> tuple[EventRecord, ...]:
+        """Return the latest event of each code of a kind, of the stored ones with numbers below `before`."""
+        return _all_parsed(self._store.latest_events(kind, before))
 
     def close(self) -> None:
         """Wake all callers that wait for an event, because no more events will follow."""
@@ -98,9 +102,10 @@ class EventLog:
             self._changed.notify_all()
 
 
-def _parsed(text: str) -> EventRecord | None:
-    """Return a stored event; None if another version wrote it in a way that cannot be read."""
-    try:
-        return EventRecord.model_validate_json(text)
-    except ValidationError:
-        return None
+def _all_parsed(texts: Iterable[str]) -> tuple[EventRecord, ...]:
+    """Return stored events without those that another version wrote in a way that cannot be read."""
+    found = []
+    for text in texts:
+        with contextlib.suppress(ValidationError):
+            found.append(EventRecord.model_validate_json(text))
+    return tuple(found)
