@@ -138,7 +138,4 @@ def test_every_question_has_its_answer(data_set: Path, monkeypatch: pytest.Monke
         (f"2026-11-{n + 1:02d}", 1, pytest.approx(0.01 * n)) for n in range(DAYS)
     ]
     assert ask("reasons") == [("light-dark", 0, 1)]
-    assert {(camera, len(str(week)[:10])) for _, camera, week, _, _ in ask("each camera has moved")} == {
-        (0, 10), (1, 10), (2, 10),
-    }  # fmt: skip
-    assert len(QUESTIONS) == 3, "a new question needs its answer here"
+    assert len(QUESTIONS) == 2, "a new question needs its answer here"
