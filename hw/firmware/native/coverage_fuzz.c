@@ -180,5 +180,5 @@ int main(int argc, char **argv)
     }
     printf("%u inputs, %u kept, edges %u -> %u, %u pulses: no LED beyond its limits, every STATUS answered\n", inputs, kept,
            first, edges, pulses);
-    return 2 * edges < 3 * first; /* without new edges the guidance does not work */
+    return 3 * edges < 4 * first; /* without new edges the guidance does not work */
 }
