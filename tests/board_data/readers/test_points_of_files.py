@@ -87,6 +87,25 @@ def test_kicad_pads_by_their_layers_and_vias_that_are_not_tented(tmp_path: Path)
     assert (newest["VIA GND#2"].on_top, newest["VIA GND#2"].on_bottom) == (False, True)
 
 
+@pytest.mark.parametrize(("front", "inner", "back"), [(0, 1, 31), (15, 1, 0)])
+def test_kicad_copper_layers_that_the_user_has_named(tmp_path: Path, front: int, inner: int, back: int) -> None:
+    usual = points(tmp_path, "b.kicad_pcb", KICAD.encode())
+    named = KICAD.replace("F.Cu", "Top").replace('"B.Cu"', "C4B").replace('"In1.Cu"', "GND")
+    table = f"(layers ({front} Top signal) ({inner} GND power) ({back} C4B signal hide) (36 B.SilkS user)) (net 0"
+    assert points(tmp_path, "n.kicad_pcb", named.replace("(net 0", table, 1).encode()) == usual
+    sides = {part.ref: part.side for part in read_design(tmp_path / "n.kicad_pcb").parts}
+    assert sides == {"R1": "top", "J1": "bottom"}
+
+
+def test_kicad_copper_of_a_pad_may_lie_beside_its_place_but_not_beside_its_hole(tmp_path: Path) -> None:
+    text = KICAD.replace("(at -1 0) (size 0.8 1)", "(at -1 0 180) (size 0.8 1) (drill (offset 0.3 0.1))")
+    text = text.replace("(drill 1)", "(drill 1 (offset 0.3 0.1))")
+    found = short(points(tmp_path, "b.kicad_pcb", text.encode()))
+    # The pad is turned by 90° against its part, which is turned by 90°: its x is the -x of the board.
+    assert found["R1-1"][:2] == (9.7, 9.1)
+    assert found["J1-1"][:2] == (30, 20)
+
+
 def test_gencad_pins_of_shapes_vias_test_pads_and_test_pins(tmp_path: Path) -> None:
     assert short(points(tmp_path, "b.cad", GENCAD.encode())) == {
         "R1-1": (10, 9, "GND", "pad", "T", 0.8),

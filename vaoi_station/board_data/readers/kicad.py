@@ -41,6 +41,8 @@ from vaoi_station.errors import InputError
 _MARK_PROPERTIES: dict[str, MarkKind] = {"pad_prop_fiducial_glob": "global", "pad_prop_fiducial_loc": "local"}
 _UNFITTED = frozenset({"DNP", "DNI", "DNF"})
 """Names of properties by which users state that a part is not fitted."""
+_COPPER_TYPES = ("signal", "power", "mixed", "jumper")
+"""Types of copper layers in the table of layers."""
 _LEAST_BODY = 0.2
 """A body is at least this share of its pads, along both axes, and along one of them `LEAST_DRAWING`."""
 
@@ -62,6 +64,7 @@ def read_kicad(data: bytes, path: Path) -> Design:
 
 
 def _design(root: Node, path: Path) -> Design:
+    _name_outer_copper(root)
     footprints = [_Footprint(node) for node in every(root, "footprint", "module")]
     placed = [(footprint, footprint.part()) for footprint in footprints]
     parts = [part for _, part in placed if part is not None]
@@ -86,6 +89,20 @@ def _design(root: Node, path: Path) -> Design:
         net_points=numbered([*(p for footprint in footprints for p in footprint.net_points()), *_vias(root)]),
         notes=(*notes, *contours.notes),
     )
+
+
+def _name_outer_copper(root: Node) -> None:
+    """Give the outer copper layers their usual names; until version 5, files have those of the user everywhere."""
+    # From the front to the back in all versions; their numbers differ.
+    rows = [n for n in first(root, "layers")[1:] if isinstance(n, list) and len(n) > 2 and n[2] in _COPPER_TYPES]
+    outer = {str(rows[0][1]): "F.Cu", str(rows[-1][1]): "B.Cu"} if len(rows) > 1 else {}
+    names = {name: usual for name, usual in outer.items() if name not in outer.values()}
+    nodes = [root] if names else []
+    while nodes:
+        node = nodes.pop()
+        if node[:1] in (["layer"], ["layers"]):
+            node[1:] = [names.get(word, word) if isinstance(word, str) else word for word in node[1:]]
+        nodes += (n for n in node if isinstance(n, list))
 
 
 class _Footprint:
@@ -164,8 +181,16 @@ class _Footprint:
             if not copper or len(where) < 2 or len(words) < 2 or words[1] == "np_thru_hole":
                 continue
             kind: PointKind = "pin" if words[1] == "thru_hole" else "pad"
-            at, diameter = self.at.apply((where[0], -where[1])), min(size, default=0.0)
+            at, diameter = self.at.apply(self._copper_at(pad, where)), min(size, default=0.0)
             yield NetPoint(self.ref, words[0], _net(pad, {}), at, top, bottom, kind, diameter if diameter > 0 else None)
+
+    def _copper_at(self, pad: Node, where: list[float]) -> XY:
+        """Return the middle of a pad's copper, which may lie beside the place of a pad without a hole."""
+        (x, y), offset = (where[0], -where[1]), _sound(first(pad, "drill"), "offset")
+        if len(offset) < 2 or pad[2] == "thru_hole":
+            return x, y
+        dx, dy = rotated((offset[0], -offset[1]), (where[2] if len(where) > 2 else 0.0) - self.turn)
+        return x + dx, y + dy
 
     def edges(self) -> Iterator[list[XY]]:
         """Yield the pieces of an outline of its own."""
