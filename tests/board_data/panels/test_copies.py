@@ -98,3 +98,14 @@ def test_pads_and_vias_belong_to_the_board_that_they_lie_on() -> None:
     assert (at["1/VIA N"], at["2/VIA N"]) == ((14.0, 9.5), (44.0, 9.5))
     assert at["1/TP9"] == (3.0, 3.0)
     assert len(at) == len(points)
+
+
+@pytest.mark.parametrize("turns", [(0.0,), (0.0, 90.0, 180.0, 270.0)])
+def test_pads_far_from_the_origin_of_their_part_belong_to_its_board(turns: tuple[float, ...]) -> None:
+    pads = (NetPoint("U1", str(k), "", (5.0 + 4 * k, 4.0), True, False, name=f"U1-{k}") for k in range(6))
+    board = replace(BOARD, net_points=tuple(pads))
+    panel = laid_out(repeated(board, Grid((2, 2), (29.0, 29.0), turns)))
+    parts = tuple(replace(part, panel=None) for part in panel.parts)
+    file = Design("d", "kicad", parts, net_points=tuple(p._replace(name="") for p in panel.net_points))
+    found = laid_out(with_copies(file)).net_points
+    assert {p.name: p.at for p in found} == {p.name: p.at for p in panel.net_points}

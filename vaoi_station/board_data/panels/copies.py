@@ -14,6 +14,8 @@ from itertools import product
 from math import dist
 from typing import NamedTuple
 
+import numpy as np
+
 from vaoi_station.board_data.design import (
     XY,
     Design,
@@ -36,6 +38,8 @@ SAME_PLACE_MM = 0.05
 SAME_ANGLE_DEG = 0.5
 LEAST_MATCHED = 0.9
 """Least share of the repeated designators whose parts must be copies of one another."""
+_MOST_NEAR, _MOST_PAIRS = 32, 500_000
+"""Number of the nearest parts to which a pad may belong, and of pairs of a pad and a part that are compared at once."""
 MOST_ANCHORS = 5
 """Largest number of designators that are tried as the one that shows where the boards are."""
 
@@ -99,25 +103,58 @@ def _panel(design: Design, boards: Sequence[Sequence[_Member]]) -> Design:
 def _shared_out(points: Sequence[NetPoint], boards: Sequence[Sequence[_Member]]) -> dict[int, list[NetPoint]]:
     """Return the test points of each board, from 1, and of the panel, 0.
 
-    A pad is of the board whose part of its designator is next to it, a via of the board that is nearest.
+    A pad is of the board on which it lies beside the part of its designator as on the others, a via of the nearest one.
     """
-    found: dict[int, list[NetPoint]] = {n: [] for n in range(len(boards) + 1)}
-    places: defaultdict[str, list[tuple[XY, int]]] = defaultdict(list)
+    places: defaultdict[str, list[tuple[_Member, int]]] = defaultdict(list)
     boxes = [extent(member.at for member in board) for board in boards]
     for n, board in enumerate(boards, 1):
         for member in board:
             if isinstance(member.of, Part):
-                places[member.of.ref].append((member.at, n))
-    for point in points:
-        n = 0
+                places[member.of.ref].append((member, n))
+    pads: defaultdict[tuple[str, str], list[int]] = defaultdict(list)
+    for k, point in enumerate(points):
         if point.ref in places:
-            _, n = min(places[point.ref], key=lambda place: dist(place[0], point.at))
-        elif not point.ref:
+            pads[point.ref, point.pin].append(k)
+    board_of = dict[int, int]()
+    for (ref, _), of in pads.items():
+        chosen = _parts_of_pads([points[k].at for k in of], [member for member, _ in places[ref]])
+        board_of |= {k: places[ref][part][1] for k, part in zip(of, chosen, strict=True)}
+    found: dict[int, list[NetPoint]] = {n: [] for n in range(len(boards) + 1)}
+    for k, point in enumerate(points):
+        n = board_of.get(k, 0)
+        if not point.ref:
             beside = [[max(a - c, c - b, 0.0) for a, b, c in zip(*box, point.at, strict=True)] for box in boxes]
             n = 1 + min(range(len(boxes)), key=lambda k: sum(d * d for d in beside[k]))
         stated = not point.ref and point.kind != "via"
         found[n].append(point if stated else point._replace(name=""))
     return found
+
+
+def _parts_of_pads(pads: Sequence[XY], parts: Sequence[_Member]) -> list[int]:
+    """Return the index of the part that each pad belongs to; all are of one pin of the copies of one part.
+
+    Seen from its own part, a pad lies where those of the other copies lie. Where this leaves several parts, the nearest
+    one is taken: that alone would be wrong for a connector whose origin is at one end.
+    """
+    places = np.array([complex(*part.at) for part in parts])
+    turned_back = np.exp(-1j * np.radians([part.degrees for part in parts]))
+    count = min(_MOST_NEAR, len(parts))
+    near, seen = [], []
+    # In blocks, so that they need little memory.
+    for block in np.array_split([complex(*at) for at in pads], 1 + len(pads) * len(parts) // _MOST_PAIRS):
+        away = block[:, None] - places
+        nearest = np.sort(np.argpartition(np.abs(away), count - 1, axis=1)[:, :count], axis=1)
+        near.append(nearest)
+        seen.append(np.take_along_axis(away, nearest, 1) * turned_back[nearest])
+    at = np.concatenate(seen)
+    alike = np.zeros(at.shape, np.intp)
+    # Two places that are nearly the same are in one cell of at least one of these grids.
+    for across, up in product((0.0, 0.5), repeat=2):
+        cells = np.floor(at.real / (2 * SAME_PLACE_MM) + across) + 1j * np.floor(at.imag / (2 * SAME_PLACE_MM) + up)
+        _, cell, counts = np.unique(cells, return_inverse=True, return_counts=True)
+        alike = np.maximum(alike, counts[cell].reshape(at.shape))
+    chosen = np.where(alike == alike.max(1, keepdims=True), np.abs(at), np.inf).argmin(1)
+    return [int(part) for part in np.take_along_axis(np.concatenate(near), chosen[:, None], 1)[:, 0]]
 
 
 def _placed(anchor: Sequence[_Member], group: Sequence[_Member]) -> tuple[_Member, ...]:
