@@ -106,7 +106,7 @@ def _test_points(design: Design, side: Side, notes: list[Note]) -> PointTable | 
         y=y,
         net=tuple(p.net for p in points),
         kind=tuple(p.kind for p in points),
-        diameter=tuple(p.diameter and round(p.diameter, 4) for p in points),
+        diameter=tuple((p.diameter and round(p.diameter, 4)) or None for p in points),
     )
 
 

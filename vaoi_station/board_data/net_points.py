@@ -28,13 +28,13 @@ _MOST_NAME = 180
 
 
 class Openings:
-    """Places where solder mask is open."""
+    """Places, such as those where solder mask is open."""
 
     def __init__(self, places: Iterable[XY]) -> None:
         self._cells = {_cell(at) for at in places}
 
     def __contains__(self, at: XY) -> bool:
-        """Return whether there is an opening at a place, give or take a rounding of the file."""
+        """Return whether there is one at a place, give or take a rounding of the file."""
         column, row = _cell(at)
         return any((column + i, row + k) in self._cells for i in (0, -1, 1) for k in (0, -1, 1))
 

@@ -121,12 +121,35 @@ def test_gencad_pins_of_shapes_vias_test_pads_and_test_pins(tmp_path: Path) -> N
     assert "vias-mask-unknown" not in [note.code for note in without.notes]
 
 
+def test_gencad_stacks_of_a_shape_may_be_those_of_its_use_on_the_other_side(tmp_path: Path) -> None:
+    below = GENCAD.replace("PAD P TOP 0 0\nPAD P SOLDERMASK_TOP", "PAD P BOTTOM 0 0\nPAD P SOLDERMASK_BOTTOM")
+    below = below.replace("PIN 2 P 1 0 TOP 0 0\nPIN 2 P 1 0 BOTTOM 0 0\n", "PIN 2 S 1 0 TOP 0 0\n")
+    found = short(points(tmp_path, "b.cad", below.encode()))
+    assert [found[name][4] for name in ("R1-1", "R1-2", "J1-1")] == ["T", "T", "TB"]
+
+
+@pytest.mark.parametrize(
+    ("track", "sides", "notes"), [("LAYER TOP", "TB", 0), ("LAYER BOTTOM", "BT", 0), ("LAYER INNER1", "BT", 1)]
+)
+def test_gencad_tracks_show_the_side_of_the_pads_of_an_edge_connector(
+    tmp_path: Path, track: str, sides: str, notes: int
+) -> None:
+    text = GENCAD.replace("PIN 2 P 1 0 TOP 0 0\nPIN 2 P 1 0 BOTTOM 0 0\n", "PIN 2 P -1 0 BOTTOM 0 0\n")
+    text = text.replace("LAYER TOP\nROTATION 90\nSHAPE R 0 0", "LAYER BOTTOM\nROTATION 90\nSHAPE R MIRRORY FLIP")
+    text = text.replace("ROUTE GND\n", f"ROUTE GND\n{track}\nLINE 10 11 20 11\n")
+    found = short(points(tmp_path, "b.cad", text.encode()))
+    assert (found["R1-1"][:2], f"{found['R1-1'][4]}{found['R1-2'][4]}") == ((10, 11), sides)
+    assert [n.code for n in read_design(tmp_path / "b.cad").notes].count("pad-sides-unclear") == notes
+
+
 def test_ipc_2581_pads_of_pins_and_vias_where_mask_is_open(tmp_path: Path) -> None:
     found = short(points(tmp_path, "b.xml", IPC2581.encode()))
     assert found.keys() == {"R1-1", "J1-1", "VIA GND#2"}
     assert found["R1-1"] == (10, 9, "GND", "pad", "T", pytest.approx(0.8, abs=0.01))
     assert found["J1-1"][3:5] == ("pin", "TB")
     assert found["VIA GND#2"][4] == "T"
+    negative = points(tmp_path, "d.xml", IPC2581.replace('diameter="0.8"', 'diameter="-0.8"').encode())
+    assert negative["R1-1"].diameter is None
     (tmp_path / "u.xml").write_text(IPC2581.replace("SOLDERMASK", "SOLDERPASTE"))
     assert "vias-mask-unknown" in [note.code for note in read_design(tmp_path / "u.xml").notes]
 
@@ -155,6 +178,14 @@ def test_points_of_a_side_are_in_its_board_type_and_on_a_panel_have_their_board_
     assert panel.test_points.x[panel.test_points.name.index("2/J1-1")] == 80.0
     without = read_design(tmp_path / "b.kicad_pcb", Options(test_points=False))
     assert to_board_type(without, "top")[0].test_points is None
+
+
+def test_a_pad_that_is_too_small_has_no_diameter(tmp_path: Path) -> None:
+    (tmp_path / "b.kicad_pcb").write_text(KICAD.replace("(size 0.8 1)", "(size 0.00001 1)"))
+    made, _ = to_board_type(read_design(tmp_path / "b.kicad_pcb"), "top")
+    assert made.test_points is not None
+    assert made.test_points.diameter is not None
+    assert made.test_points.diameter[0] is None
 
 
 def test_names_are_unique_and_without_control_characters(tmp_path: Path) -> None:

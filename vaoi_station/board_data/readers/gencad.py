@@ -13,6 +13,7 @@ import shlex
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +33,7 @@ from vaoi_station.board_data.design import (
     normalised,
     noted,
 )
-from vaoi_station.board_data.net_points import numbered, vias_without_mask
+from vaoi_station.board_data.net_points import Openings, numbered, vias_without_mask
 from vaoi_station.board_data.pin_rules import FITS_MM, DrawnPart, Pin, Rule, placed_parts, rules_of
 from vaoi_station.board_data.source_text import decode, number_of
 from vaoi_station.errors import InputError
@@ -102,6 +103,9 @@ def read_gencad(data: bytes, path: Path) -> Design:
         text = "{count} components are not placed; they were left out: {names}."
         notes.append(noted("parts-not-placed", text, count=len(unknown), names=", ".join(sorted(unknown)[:8])))
     notes += vias_without_mask(points, reader.states_mask)
+    if reader.unclear:
+        text = "no track shows on which side some pads of {names} are; check the test points of these parts."
+        notes.append(noted("pad-sides-unclear", text, count=len(reader.unclear), names=reader.unclear))
     return Design(
         name,
         "gencad",
@@ -161,6 +165,9 @@ class _Reader:
         self._layers = self._layers_of(sections["PADSTACKS"])
         self.states_mask = any("SOLDERMASK" in layer for layers in self._layers.values() for layer in layers)
         """Whether pad stacks state where solder mask is open."""
+        self.unclear: list[str] = []
+        """Parts with pads of which nothing says on which side they are."""
+        self._routes = sections["ROUTES"]
         self._shapes = self._shapes_of(sections["SHAPES"])
         self._signals = _Signals(sections["SIGNALS"], sections["ROUTES"], mm)
 
@@ -238,16 +245,51 @@ class _Reader:
             for pin in self._shapes.get(name, _Shape()).pins:
                 own = self._layers.get(pin.stack, {pin.layer if pin.layer == "BOTTOM" else "TOP"})
                 lines.setdefault((pin.name, pin.at), (pin, set()))[1].update({"TOP", "BOTTOM"} & own)
-            for pin, copper in lines.values():
-                if not copper:
-                    continue
+            placed = [(pin, at.apply(pin.at), copper) for pin, copper in lines.values() if copper]
+            exchanged = self._is_exchanged(of, [(pin.name, place, copper) for pin, place, copper in placed])
+            for pin, place, copper in placed:
                 through = len(copper) > 1
-                # The stack of a part on the bottom may be that of its own side, or of the board.
-                below = side == "bottom" or copper == {"BOTTOM"}
+                below = (copper == {"BOTTOM"}) != exchanged
                 box, net = self._pads.get(pin.stack), self._signals.name(part.ref, pin.name)
                 kind: PointKind = "pin" if through else "pad"
                 sides = through or not below, through or below
-                yield NetPoint(part.ref, pin.name, net, at.apply(pin.at), *sides, kind, min(box.size) if box else None)
+                yield NetPoint(part.ref, pin.name, net, place, *sides, kind, min(box.size) if box else None)
+
+    def _is_exchanged(self, of: DrawnPart, placed: Sequence[tuple[str, XY, set[str]]]) -> bool:
+        """Return whether the stacks of pads on one side are those of the other; `placed`: pins, places and layers."""
+        pads = [
+            (self._signals.name(of.part.ref, pin), place, next(iter(copper)))
+            for pin, place, copper in placed
+            if len(copper) == 1
+        ]
+        stated, side = {layer for _, _, layer in pads}, of.part.side.upper()
+        if side == "TOP" and "TOP" in stated:
+            return False
+        if len(stated) < 2 and (side == "BOTTOM" or len(pads) == len(placed)):
+            # Of the side of the part, or of the board; EasyEDA writes a shape once, with the stacks of its first use.
+            return side not in stated
+        # Pads of both sides, as of an edge connector, or beside pins. Tracks end on the side of their pad.
+        tracks, nowhere, other = self._tracks, Openings(()), {"TOP": "BOTTOM", "BOTTOM": "TOP"}
+        as_stated = sum(place in tracks.get((net, layer), nowhere) for net, place, layer in pads)
+        on_other = sum(place in tracks.get((net, other[layer]), nowhere) for net, place, layer in pads)
+        if as_stated == on_other:
+            self.unclear.append(of.part.ref)
+            return "FLIP" in of.word
+        return on_other > as_stated
+
+    @cached_property
+    def _tracks(self) -> dict[tuple[str, str], Openings]:
+        """Ends of tracks by net and layer."""
+        ends: defaultdict[tuple[str, str], list[XY]] = defaultdict(list)
+        net = layer = ""
+        for line in self._routes:
+            if line.word(0) == "ROUTE":
+                net = line.word(1)
+            elif line.word(0) == "LAYER":
+                layer = line.word(1).upper()
+            elif line.word(0) in ("LINE", "ARC"):
+                ends[net, layer] += _points(line.words[1:5], self._mm)
+        return {key: Openings(places) for key, places in ends.items()}
 
     def vias(self, routes: list[_Line]) -> Iterator[NetPoint]:
         """Yield vias and test pads. Files that state no mask do not say which vias it covers: then none is."""

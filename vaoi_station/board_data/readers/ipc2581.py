@@ -275,11 +275,11 @@ class _Reader:
             entry = self._primitives.get(shape.get("id", ""))
             return [p for child in (entry if entry is not None else ()) for p in self._points(child)]
         if shape.tag == "Circle":
-            return circle_points((0.0, 0.0), self._number(shape, "diameter") * self._mm / 2)
+            return circle_points((0.0, 0.0), max(0.0, self._number(shape, "diameter")) * self._mm / 2)
         if shape.tag == "Line":
             return [self._xy(shape, "startX", "startY"), self._xy(shape, "endX", "endY")]
         if shape.get("width") and shape.get("height"):
-            return Box.of_size(*self._xy(shape, "width", "height")).corners(Placement())
+            return Box.of_size(*(max(0.0, size) for size in self._xy(shape, "width", "height"))).corners(Placement())
         return []
 
     def _polygon(self, element: Element | None) -> list[XY]:

@@ -1289,6 +1289,7 @@ const remarks = {
   "parts-without-pads": ({ count, names }) => `${count} Bauteile haben keine Anschlüsse: ${more(names)}. Rahmen und Logos entfernen.`,
   "parts-without-body": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der ersten Datei, ohne Körper: ${more(names)}.`,
   "pins-of-other-datum": ({ shift_mm }) => `Orte von Anschlüssen haben einen anderen Bezugspunkt als die der Bauteile; sie wurden um (${shift_mm}) mm zurückgeschoben.`,
+  "pad-sides-unclear": ({ names }) => `Keine Leiterbahn zeigt, auf welcher Seite einige Pads von ${more(names)} liegen; Prüfpunkte dieser Bauteile prüfen.`,
   "pins-unfit": ({ count, names }) => `Die Anschlüsse von ${count} Bauteilen passen zu keinem Winkel ihres Gehäuses; im Bild prüfen: ${more(names)}.`,
   "pitch-below-size": ({ axis, pitch_mm, size_mm }) => `Das Raster entlang ${axis} ist ${pitch_mm} mm, die Leiterplatte misst dort aber ${size_mm} mm.`,
   "places-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile liegen in der zweiten Datei woanders; es gilt die erste: ${more(names)}.`,
