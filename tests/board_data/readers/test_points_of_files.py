@@ -136,6 +136,7 @@ def test_gencad_tracks_show_the_side_of_the_pads_of_an_edge_connector(
 ) -> None:
     text = GENCAD.replace("PIN 2 P 1 0 TOP 0 0\nPIN 2 P 1 0 BOTTOM 0 0\n", "PIN 2 P -1 0 BOTTOM 0 0\n")
     text = text.replace("LAYER TOP\nROTATION 90\nSHAPE R 0 0", "LAYER BOTTOM\nROTATION 90\nSHAPE R MIRRORY FLIP")
+    text = text.replace("LAYER BOTTOM\nROTATION 0\nSHAPE J MIRRORX FLIP", "LAYER TOP\nROTATION 0\nSHAPE J 0 0")
     text = text.replace("ROUTE GND\n", f"ROUTE GND\n{track}\nLINE 10 11 20 11\n")
     found = short(points(tmp_path, "b.cad", text.encode()))
     assert (found["R1-1"][:2], f"{found['R1-1'][4]}{found['R1-2'][4]}") == ((10, 11), sides)

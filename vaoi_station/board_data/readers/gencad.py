@@ -263,7 +263,7 @@ class _Reader:
             if len(copper) == 1
         ]
         stated, side = {layer for _, _, layer in pads}, of.part.side.upper()
-        if side == "TOP" and "TOP" in stated:
+        if not stated or (side == "TOP" and "TOP" in stated):
             return False
         if len(stated) < 2 and (side == "BOTTOM" or len(pads) == len(placed)):
             # Of the side of the part, or of the board; EasyEDA writes a shape once, with the stacks of its first use.
