@@ -48,7 +48,7 @@ def test_a_file_becomes_an_approved_board_type(page: Page, engineer: Any, fits: 
     choose_file(page, "#board-file", "places.csv", TABLE)
     expect(page.get_by_role("heading", name="places.csv")).to_be_visible()
     expect(page.locator(".board-drawing .body.guess")).to_have_count(4)
-    expect(page.locator(".warnings")).to_contain_text("1 too few fiducials")
+    expect(page.locator(".warnings")).to_contain_text("1 fiducial is missing")
     page.get_by_label("Column of the rotation").select_option(label="none")
     page.get_by_label("Unit").select_option("mil")
     expect(page.locator(".size")).to_contain_text("mm, bar")

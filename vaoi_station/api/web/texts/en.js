@@ -85,7 +85,7 @@ const board = {
     "no-marks": "the part looks alike either way round",
   },
   remarks: {
-    "run-not-ok": ({ status }) => `The board is ${status}: its reasons hold for the measures of its parts, too.`,
+    "run-not-ok": ({ status }) => (status === "failed" ? "This run has no usable pictures; that holds for the measures, too." : "The pictures of this run have reservations; these hold for the measures, too."),
     "own-board": () => "This board is one of the good boards, so that its own faults are not seen.",
     "few-good-boards": ({ count, least }) =>
       `Good boards: ${count}. How far good parts differ is hardly known from fewer than ${least}, so that more good parts look unlike; places hold. Teach further boards.`,
@@ -245,7 +245,7 @@ const cameras = {
   alt: (row) => `Newest frame, row ${row}`,
   histogram: (low, high, saturated) => `1 % of the pixels below ${low}, 99 % below ${high}, ${saturated} saturated`,
   tooBright: (share) => `Too bright: ${share} of the pixels are saturated (limit 0.5 %).`,
-  tooDark: (share) => `Dark: 99 % of the pixels are below ${share} (at least 35 %).`,
+  tooDark: (share) => `Too dark: 99 % of the pixels are below ${share}; 35 % is needed.`,
   soft: (n) => `Not sharp in ${n} of 9 parts: focus the lens; if only one side is soft, the camera is tilted.`,
   ptp: { noMaster: (state) => `no master (${state || "state not stated"})`, offset: (us) => `${us} µs from its master`, apart: (ms) => `${ms} ms from the other cameras` },
   facts: {
@@ -431,7 +431,7 @@ const setup = {
   typeColumns: ["Name", "Revision", "State", "Side", "Parts", "Fiducials"],
   noTypes: "There is none yet. Drop a file of your CAD system above.",
   pending: "Files that are not confirmed yet",
-  pendingFile: (name, parts) => (parts == null ? `${name}: cannot be read` : `${name}: ${parts} parts`),
+  pendingFile: (name, parts) => (parts == null ? `${name}: cannot be read` : `${name}: ${parts} ${parts === 1 ? "part" : "parts"}`),
   deleted: "Deleted",
   restore: "Restore",
   states: { draft: "draft", approved: "approved", retired: "retired" },
@@ -472,9 +472,9 @@ const setup = {
   missingTitle: "Missing in the file",
   missing: {
     outline: (n, boards) => `No outline: the direction of boards is not checked. ${boards ? "State how far it is from the boards to the edges of the panel." : "Join a file that has it."}`,
-    fiducials: (n) => `${n} too few fiducials: two are needed. Choose parts below.`,
-    sizes: (n) => `${n} sizes are guessed (orange). Join a file with bodies.`,
-    heights: (n) => `${n} parts without a height: their pictures are right on the board, less so at their tops.`,
+    fiducials: (n) => `${n === 1 ? "1 fiducial is" : `${n} fiducials are`} missing: two are needed. Choose parts below.`,
+    sizes: (n) => `${n === 1 ? "1 size is" : `${n} sizes are`} guessed (orange). Join a file with bodies.`,
+    heights: (n) => `${n} ${n === 1 ? "part" : "parts"} without a height: pictures are right on the board, less so at their tops.`,
     sides: () => "No column states the side: all parts count as those of one side.",
     rotations: () => "No column states the rotation: 0° is taken.",
   },
