@@ -127,6 +127,17 @@ def test_high_bodies_are_kept_out_with_their_errors_and_a_margin() -> None:
     assert (width < 7.3).all()
 
 
+def test_the_top_of_a_body_reaches_over_the_middle_of_a_bow() -> None:
+    shield = Component(ref="U0", center=(80.0, 50.0), width=120.0, height=70.0)
+    bent = Clamp(0.0, bow_mm=(-1.0, 0.0, -1.0))
+    answer = clamp(
+        filmed(board_type(components=(shield,))), request(bent.readings(*ALL, z=True), clearance=2.0, sigma_z=0.01)
+    )
+    (solid,) = answer.keep_outs
+    assert solid.top is not None
+    assert solid.top > bent(np.array([shield.center]))[0, 2] + 3.0
+
+
 def test_a_board_of_a_panel_and_a_part_with_local_fiducials_have_transforms_of_their_own() -> None:
     parts = tuple(
         Component(ref="U1", panel=p, center=(x, 50.0), width=4.0, height=4.0) for p, x in (("A", 40.0), ("B", 120.0))
@@ -213,6 +224,12 @@ def test_test_points_are_asked_for_by_net_by_component_and_all_each_once() -> No
         test_points=PointTable(name=("CONNEC-1",), x=(78.0,), y=(50.0,), net=("GND",)),
     )
     assert [p.name for p in clamp(filmed(longer), request(readings, pads_of=("CONNECTOR1",))).points] == ["CONNEC-1"]
+    panel = [Component(ref=r, panel="1", center=(80.0, y), width=8.0, height=4.0)
+             for y, r in enumerate(("CONNECTOR1", "CONVERTER1"))]  # fmt: skip
+    longer = board_type(
+        components=tuple(panel), test_points=PointTable(name=("1/CONNEC-1",), x=(78.0,), y=(50.0,), net=("GND",))
+    )
+    assert clamp(filmed(longer), request(readings, pads_of=("1/CONNECTOR1",))).points[0].name == "1/CONNEC-1"
     with pytest.raises(InputError, match="nets is 'VCC'"):
         names(nets=("VCC",))
     with pytest.raises(InputError, match="pads_of is 'U1'"):

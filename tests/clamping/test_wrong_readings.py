@@ -178,6 +178,20 @@ def test_one_of_four_readings_off_by_a_third_of_a_millimetre_is_left_out() -> No
         assert [r.fiducial for r in answer.residuals if not r.used] == [name]
 
 
+@pytest.mark.parametrize(
+    ("off_mm", "angle_deg", "third"), [(1.5, 345.0, ("F1", "F2", "F3")), (0.15, 355.0, ("F1", "F5", "F3"))]
+)
+def test_one_wrong_reading_of_three_is_refused_and_not_outvoted_by_any_two_that_fit(
+    off_mm: float, angle_deg: float, third: tuple[str, ...]
+) -> None:
+    noise, angle = np.zeros((3, 3)), np.radians(angle_deg)
+    noise[2, :2] = off_mm * np.cos(angle), off_mm * np.sin(angle)
+    readings = Clamp().readings(*third, noise=noise)
+    answer = clamp(filmed(), request(readings, turn_deg=np.degrees(0.7), points=("U4",)))
+    assert (answer.status, codes(answer)) == (Status.FAILED, ["readings-disagree"])
+    assert not answer.points
+
+
 PANEL = {"P1": (3.0, 3.0), "A1": (20.0, 20.0), "A2": (60.0, 80.0), "B1": (90.0, 20.0), "B2": (130.0, 80.0)}
 
 

@@ -77,8 +77,12 @@ class FilmedBoard:
 
     @cached_property
     def _by_six_letters(self) -> Mapping[str, Component]:
-        counts = Counter(address[:6] for address in self.parts)
-        return {a[:6]: part for a, part in self.parts.items() if len(a) > 6 and counts[a[:6]] == 1}
+        def short(address: str) -> str:
+            panel, slash, ref = address.rpartition("/")
+            return f"{panel}{slash}{ref[:6]}"
+
+        counts = Counter(map(short, self.parts))
+        return {short(a): part for a, part in self.parts.items() if short(a) != a and counts[short(a)] == 1}
 
     @cached_property
     def cad(self) -> Floats:

@@ -24,6 +24,10 @@ _SIGMAS = 3.0
 """Standard deviations by which a keep-out solid is larger than the body, in all directions."""
 
 
+_SPOTS = np.array([((1 - a) * (1 - b), a * (1 - b), a * b, (1 - a) * b) for a in (0, 0.5, 1) for b in (0, 0.5, 1)])
+"""Shares (9, 4) of the corners of a footprint in its corners, middles of edges, and centre."""
+
+
 class Wanted(NamedTuple):
     """A point that is asked for."""
 
@@ -80,7 +84,7 @@ def _of_groups(film: FilmedBoard, request: doc.ClampedRequest) -> dict[str, None
             by_part["" if (part := film.part_of(name)) is None else part.address].append(name)
     found = list(film.test_points) if request.test_points else []
     for key, wanted, listed in (("nets", request.nets, by_net), ("pads_of", request.pads_of, by_part)):
-        for value in wanted:
+        for value in dict.fromkeys(wanted):
             if value not in listed:
                 raise InputError.field("request", key, value, f"one with test points of {film.board_type.name!r}")
             found += listed[value]
@@ -165,7 +169,9 @@ class Placing:
         wanted: list[Wanted] = [Wanted("", c, _text(p.panel), p) for p, _ in chosen for c in self._film.corners(p)]
         cad = np.array([point.at for point in wanted])
         at, sigma, slope, _ = self._placed(wanted, cad)
-        z = (self._bending.z_mm(cad) + _SIGMAS * self._bending.sigma_mm(cad)).reshape(-1, 4).max(1)
+        # A bow may raise the board under the middle of a body above all its corners.
+        spots = np.einsum("gk,nkc->ngc", _SPOTS, cad.reshape(-1, 4, 2)).reshape(-1, 2)
+        z = (self._bending.z_mm(spots) + _SIGMAS * self._bending.sigma_mm(spots)).reshape(-1, len(_SPOTS)).max(1)
         corners, wide = at.reshape(-1, 4, 2), sigma.reshape(-1, 8).max(1)
         out = []
         for n, (part, height) in enumerate(chosen):

@@ -124,7 +124,7 @@ class Readings:
         if wrong:
             message = f"the board lies turned by {math.degrees(turned):.1f}° against turn_deg"
             raise MisfitError(message, action="Check which way round it lies, and the value.", code="board-turned")
-        if best.explained < 2 or 2 * best.explained <= count:
+        if best.explained < min(count, 3) or 2 * best.explained <= count:
             raise self._misfit(best, ppm)
         for n in np.flatnonzero(best.of < 0).tolist():
             self._leave_out(n, self._meant(n, best))
@@ -171,6 +171,7 @@ class Readings:
             return MisfitError(
                 message, action="Check y_axis, the side that is up, and the run.", code="readings-mirrored"
             )
+        i, j = divmod(int(np.abs(read - filmed).argmax()), len(filmed))
         a, b = self.names[i], self.names[j]
         message = (
             f"the readings are not of this board: {a} and {b} are {read[i, j] / self.mm:.6g} {unit} apart, filmed "
@@ -219,6 +220,9 @@ class Readings:
             self._leave_out(*worst)
             used.remove(worst[0])
             found, worst = self._fit(used, changed)
+        if worst is not None:
+            message = f"the reading of {self.names[worst[0]]} disagrees: {worst[1]}"
+            raise MisfitError(message, action="Read these fiducials again, or one more.", code="readings-disagree")
         if changed:
             if len(used) <= 3:
                 # One wrong reading explains it as well.
