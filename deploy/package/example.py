@@ -1,4 +1,4 @@
-"""Write the files of the station with which the package begins: the example configuration on the twin.
+"""Write the files of the station with which the package begins, the example on the twin, and that of the paper.
 
 python3 deploy/package/example.py DIRECTORY
 """
@@ -19,22 +19,33 @@ DEPLOY = Path(__file__).resolve().parents[1]
 
 
 def write_example(folder: Path) -> None:
-    """Write station.toml, scenario.toml, calibration.json and board-types/ into a new directory."""
+    """Write both configurations, scenario.toml, calibration-twin.json and board-types/ into a new directory.
+
+    The twin's calibration has a name of its own, which no station.toml of a real line has.
+    """
     folder.mkdir(parents=True)
     scenario = scenario_path("demo")
     twin = Twin(read_scenario(scenario))
     shutil.copyfile(scenario, folder / "scenario.toml")
-    write_calibration(folder / "calibration.json", twin.calibration)
+    write_calibration(folder / "calibration-twin.json", twin.calibration)
     (folder / "board-types").mkdir()
     write_board_type(folder / "board-types" / f"{twin.board_type.name}.json", twin.board_type)
-    text = (DEPLOY / "station.toml").read_text(encoding="utf-8")
-    # What the service writes lies below its state directory, the only one that the unit lets it write to.
-    for key, name in (("board_types", "board-types"), ("data", "data")):
-        assert f'{key} = "{name}"' in text
-        text = text.replace(f'{key} = "{name}"', f'{key} = "{STATE}/{name}"')
-    text = f"# What is called docs/ here and in messages is {DOCUMENTS}.\n{text}"
-    (folder / "station.toml").write_text(text, encoding="utf-8")
-    read_config(folder / "station.toml")
+    for name in ("station.toml", "station-paper.toml"):
+        text = (DEPLOY / name).read_text(encoding="utf-8")
+        # What the service writes lies below its state directory, the only one that the unit lets it write to.
+        for key, at in (("board_types", "board-types"), ("data", "data")):
+            text = _replaced(text, f'{key} = "{at}"', f'{key} = "{STATE}/{at}"')
+        if name == "station.toml":
+            text = _replaced(text, '"calibration.json"', '"calibration-twin.json"')
+        (folder / name).write_text(
+            f"# What is called docs/ here and in messages is {DOCUMENTS}.\n{text}", encoding="utf-8"
+        )
+        read_config(folder / name)
+
+
+def _replaced(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import pytest
 from tests.api.proxy.nginx import FRAME, shipped_site
 from tests.needs import need, program
 from tests.peers.certificates import make_certificate
+from vaoi_station.config import read_config
 from vaoi_station.files.caller_credentials import CA_VARIABLE, KEY_FILE_VARIABLE, KEY_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,6 +76,18 @@ def test_scripts_of_dpkg_are_those_of_a_posix_shell(script: str) -> None:
     assert "\nset -e\n" in path.read_text(encoding="utf-8")
     subprocess.run(["sh", "-n", str(path)], check=True)
     assert path.stat().st_mode & 0o111
+
+
+def test_a_real_line_never_takes_the_calibration_of_the_twin(tmp_path: Path) -> None:
+    module("example").write_example(tmp_path / "example")
+    twin, paper = (read_config(tmp_path / "example" / name) for name in ("station.toml", "station-paper.toml"))
+    assert twin.calibration.is_file()
+    assert twin.calibration.name in (PACKAGE / "postinst").read_text(encoding="utf-8")
+    assert not paper.calibration.exists()
+    # The service may write nowhere else.
+    assert {twin.data, twin.board_types, paper.data, paper.board_types} == {
+        Path("/var/lib/vaoi-station/data"), Path("/var/lib/vaoi-station/board-types"),
+    }  # fmt: skip
 
 
 class Machine:
