@@ -137,7 +137,8 @@ def _add_health(app: FastAPI, services: Services) -> None:
     async def get_readiness(response: Response) -> Health:
         """Return 200 if a board that came now would be filmed by all cameras and its result kept on disk, else 503.
 
-        A station that is idle is ready: it waits for an order. The codes say what is missing.
+        A station that is idle is ready, because it can be armed: `state` says whether it is. The codes say what is
+        missing.
         """
         return _health(response, await services.commands.ask(services.coordinator.snapshot), ready_only=True)
 

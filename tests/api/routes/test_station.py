@@ -60,6 +60,7 @@ def test_arming_without_a_camera_needs_permission(client: Any, station: Any, by:
     ("state", "code", "status", "ready"),
     [
         ("idle", "", "ok", 200),
+        ("idle", "no-calibration", "degraded", 503),
         ("armed", "calibration-drift", "ok", 200),
         ("armed", "storage-full", "degraded", 503),
         ("armed", "workers-starting", "degraded", 503),

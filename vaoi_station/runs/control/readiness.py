@@ -20,7 +20,7 @@ from vaoi_station.runs.states.tables import StationState
 from vaoi_station.store.storage_trouble import PASSING
 
 CODE = "camera-lost"
-NOT_READY = PASSING | {CODE, "workers-starting", "ring-full", "not-armed-again"}
+NOT_READY = PASSING | {CODE, "workers-starting", "ring-full", "not-armed-again", "no-calibration"}
 """Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
 _HOLDING = NOT_READY - PASSING - {CODE, "ring-full"} | {"thread-lost", "boards-wait"}
 """Codes of warnings and faults that hold the next board back; those left out are found by themselves."""
