@@ -33,7 +33,7 @@ def provoke(station: Any, state: str, code: str) -> None:
     station.lost = (1,) if state == "lacking" else ()
     held = state == "held" or code == "belt-stopped"
     station.held_back = reason if held else ()
-    station.warnings = reason if code == "board-id-uncertain" else ()
+    station.warnings = reason if code in ("board-id-uncertain", "no-calibration") else ()
     station.reasons = () if held or station.warnings else reason
     station.state = StationState.ARMED if state in ("lacking", "held") else StationState(state)
     station.publish("station", state=station.state)

@@ -55,7 +55,7 @@ export function boardGroup(reason) {
   return codes.some((code) => code?.startsWith("trigger-")) ? "camera" : "again";
 }
 
-const TONES = { blocked: "caution", lacking: "caution", held: "caution", degraded: "caution", missed: "caution", faulted: "fault", failed: "fault", unknown: "stale" };
+const TONES = { blocked: "caution", lacking: "caution", held: "caution", uncalibrated: "caution", degraded: "caution", missed: "caution", faulted: "fault", failed: "fault", unknown: "stale" };
 export const QUIET = ["armed", "idle"]; // states in which the order may speak of a board that has passed
 const OLD_MS = 30 * 60 * 1000;
 
@@ -63,6 +63,7 @@ const OLD_MS = 30 * 60 * 1000;
 const heldBy = (now) => now.line_held.filter((reason) => reason.code !== "line-filming");
 
 export function stateOf(now) {
+  if (now.state === "idle" && now.warnings.some((w) => w.code === "no-calibration")) return "uncalibrated";
   if (now.state === "armed" && !now.line_ready) return heldBy(now)[0]?.code === "camera-lost" ? "lacking" : "held";
   return now.state in texts.words ? now.state : "unknown";
 }

@@ -18,6 +18,7 @@ const marks = {
   blocked: triangle,
   lacking: triangle,
   held: triangle,
+  uncalibrated: triangle,
   faulted: octagon,
   stopping: `<rect x="14" y="14" width="72" height="72" rx="6" ${line}/>`,
   unknown: `${dashed}<path d="M50 72v1M38 38a12 12 0 1 1 18 12q-6 3-6 9" ${line}/>`,

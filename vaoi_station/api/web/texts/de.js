@@ -1449,6 +1449,7 @@ export const texts = {
   words: {
     starting: "Startet",
     idle: "Nicht aktiv",
+    uncalibrated: "Nicht kalibriert",
     arming: "Wird aktiviert",
     armed: "Bereit",
     lacking: "Kamera fehlt",
@@ -1465,6 +1466,7 @@ export const texts = {
   orders: {
     starting: "Baugruppen zurückhalten. Warten.",
     idle: "Typ wählen, Aktivieren drücken.",
+    uncalibrated: "Techniker rufen.",
     arming: "Nächste Baugruppe zurückhalten.",
     armed: "Nächste Baugruppe einlassen.",
     lacking: "Nächste Baugruppe zurückhalten.",
@@ -1522,6 +1524,7 @@ export const texts = {
 
   refusals: {
     "camera-lost": "Eine Kamera fehlt. Kabel prüfen.",
+    "no-calibration": "Die Station ist nicht kalibriert. Techniker rufen.",
     "unknown-board-type": "Dieser Typ ist nicht mehr gespeichert. Anderen wählen.",
     "board-type-retired": "Dieser Typ wird nicht mehr aufgenommen. Anderen wählen.",
     "invalid-input": "Typ oder Nummer ist für die Station unbrauchbar. Techniker rufen.",

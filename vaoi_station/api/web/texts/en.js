@@ -865,6 +865,7 @@ export const texts = {
   words: {
     starting: "Starting",
     idle: "Not armed",
+    uncalibrated: "Not calibrated",
     arming: "Arming",
     armed: "Ready",
     lacking: "Camera missing",
@@ -881,6 +882,7 @@ export const texts = {
   orders: {
     starting: "Hold boards back. Wait.",
     idle: "Choose the type, press Arm.",
+    uncalibrated: "Call the engineer.",
     arming: "Hold the next board back.",
     armed: "Let the next board in.",
     lacking: "Hold the next board back.",
@@ -942,6 +944,7 @@ export const texts = {
   // Why a press had no effect, by the code of the refusal; another code has the last text.
   refusals: {
     "camera-lost": "A camera is missing. Check its cable.",
+    "no-calibration": "The station is not calibrated. Call the engineer.",
     "unknown-board-type": "This type is not stored any more. Choose another one.",
     "board-type-retired": "This type is no longer filmed. Choose another one.",
     "invalid-input": "The station cannot use this type or id. Call the engineer.",
