@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,8 @@ from vaoi_station.board_data.design import XY, Design, NetPoint, Side, extent, n
 from vaoi_station.errors import InputError
 from vaoi_station.model.reason import Note
 
+NOTES = frozenset({"vias-mask-unknown", "pads-without-opening", "pad-sides-unclear"})
+"""Codes of the notes about points that the file itself has."""
 _SAME_MM = 0.03
 """Largest difference of the shifts of two parts whose pads lie evenly about their middle."""
 _LEAST, _MOST = 3, 2000
@@ -43,30 +45,37 @@ def _cell(at: XY) -> tuple[int, int]:
     return round(at[0] / _CELL_MM), round(at[1] / _CELL_MM)
 
 
-def unmasked(points: Sequence[NetPoint], openings: Mapping[Side, Openings]) -> Iterator[NetPoint]:
-    """Yield points, out of reach on the sides on which solder mask covers them.
+def unmasked(points: Iterable[NetPoint], openings: Mapping[Side, Openings]) -> tuple[list[NetPoint], list[Note]]:
+    """Return points, vias out of reach on the sides on which solder mask covers them, and notes.
 
-    A side without openings is not known. Openings of pads may be drawn in another way than at their places: pads are
-    covered only if most others of their side have an opening.
+    A side without openings is not known. Pads are in reach: their opening may be larger, that of a row of pads.
     """
-    sides: tuple[Side, ...] = ("top", "bottom")
-    shown = {}
-    for side in openings:
-        pads = [point.at in openings[side] for point in points if point.ref and point.on_side(side)]
-        shown[side] = 2 * sum(pads) > len(pads)
+    found, without = [], list[str]()
     for point in points:
-        top, bottom = (
-            point.on_side(s) and (s not in openings or point.at in openings[s] or bool(point.ref and not shown[s]))
-            for s in sides
+        closed = [s for s in openings if point.on_side(s) and point.at not in openings[s]]
+        top, bottom = point.on_top and "top" not in closed, point.on_bottom and "bottom" not in closed
+        found.append(point if point.ref else point._replace(on_top=top, on_bottom=bottom))
+        if closed and point.ref:
+            without.append(f"{point.ref}-{point.pin}")
+    notes = vias_without_mask(found, openings)
+    if without:
+        text = (
+            "{count} pads have no opening of solder mask at their middle; they are test points all the same: {names}."
         )
-        yield point._replace(on_top=top, on_bottom=bottom)
+        notes.append(noted("pads-without-opening", text, count=len(without), names=without))
+    return found, notes
 
 
-def vias_without_mask(points: Iterable[NetPoint], states_mask: bool) -> list[Note]:
-    """Return a note if there are vias, and the file states no solder mask."""
-    count = 0 if states_mask else sum(point.kind == "via" for point in points)
-    text = "the file does not state which of its {count} vias solder mask covers; all count as test points."
-    return [noted("vias-mask-unknown", text, count=count)] if count else []
+def vias_without_mask(points: Iterable[NetPoint], stated: Container[Side]) -> list[Note]:
+    """Return a note if there are vias on a side whose solder mask the file does not state."""
+    sides: tuple[Side, ...] = ("top", "bottom")
+    unknown = [[s for s in sides if s not in stated and p.on_side(s)] for p in points if p.kind == "via"]
+    count, found = sum(map(bool, unknown)), sorted({s for of in unknown for s in of}, reverse=True)
+    text = (
+        "the file does not state which of its {count} vias solder mask covers on the {sides}; there all count as test "
+        "points."
+    )
+    return [noted("vias-mask-unknown", text, count=count, sides=" and ".join(found))] if count else []
 
 
 def numbered(points: Iterable[NetPoint]) -> tuple[NetPoint, ...]:

@@ -11,7 +11,7 @@ from vaoi_station.board_data.design import Design, Side
 from vaoi_station.board_data.foreign_files import refuse_archive, refuse_foreign
 from vaoi_station.board_data.frame import without_frame
 from vaoi_station.board_data.joining import join_designs
-from vaoi_station.board_data.net_points import with_net_points
+from vaoi_station.board_data.net_points import NOTES, with_net_points
 from vaoi_station.board_data.panels import Grid, laid_out, repeated, with_copies
 from vaoi_station.board_data.readers.eagle import is_eagle, read_eagle
 from vaoi_station.board_data.readers.gencad import is_gencad, read_gencad
@@ -89,7 +89,7 @@ def read_design(path: Path, options: Options | None = None, join: Path | None = 
     if netlist is not None:
         design = with_net_points(design, read_ipc_d356(read_bytes(netlist), netlist), side)
     if netlist is not None or not options.test_points:
-        design = replace(design, notes=tuple(note for note in design.notes if note.code != "vias-mask-unknown"))
+        design = replace(design, notes=tuple(note for note in design.notes if note.code not in NOTES))
     laid = laid_out(repeated(design, options.grid) if options.grid is not None else design)
     return laid if options.test_points else replace(laid, net_points=())
 

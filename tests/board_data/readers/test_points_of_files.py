@@ -155,6 +155,25 @@ def test_ipc_2581_pads_of_pins_and_vias_where_mask_is_open(tmp_path: Path) -> No
     assert "vias-mask-unknown" in [note.code for note in read_design(tmp_path / "u.xml").notes]
 
 
+def test_a_pad_in_an_opening_of_several_pads_stays_a_test_point_and_is_named(tmp_path: Path) -> None:
+    pad = '<Pad><Location x="10" y="11"/><PinRef componentRef="R1" pin="2"/></Pad>'
+    found = short(points(tmp_path, "b.xml", IPC2581.replace("<Pad>", f"{pad}<Pad>", 1).encode()))
+    assert found["R1-2"][4] == "T"
+    assert "VIA GND" not in found
+    (note,) = (note for note in read_design(tmp_path / "b.xml").notes if note.code == "pads-without-opening")
+    assert (note.values["count"], note.values["names"]) == ("1", "R1-2")
+
+
+@pytest.mark.parametrize("name", ["b.xml", "b.zip"])
+def test_a_layer_of_solder_mask_without_openings_says_nothing_of_the_vias(tmp_path: Path, name: str) -> None:
+    (tmp_path / "b.xml").write_text(IPC2581.replace('<LayerFeature layerRef="M">', '<LayerFeature layerRef="other">'))
+    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
+        for file, text in ODB.items():
+            archive.writestr(file, "UNITS=MM\n" if "/smt/" in file else text)
+    notes = [note.values["sides"] for note in read_design(tmp_path / name).notes if note.code == "vias-mask-unknown"]
+    assert notes == ["top" if name == "b.xml" else "top and bottom"]
+
+
 def test_odb_toeprints_on_copper_and_vias_of_nets(tmp_path: Path) -> None:
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w") as archive:

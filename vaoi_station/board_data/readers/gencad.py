@@ -102,7 +102,7 @@ def read_gencad(data: bytes, path: Path) -> Design:
     if unknown:
         text = "{count} components are not placed; they were left out: {names}."
         notes.append(noted("parts-not-placed", text, count=len(unknown), names=", ".join(sorted(unknown)[:8])))
-    notes += vias_without_mask(points, reader.states_mask)
+    notes += vias_without_mask(points, ("top", "bottom") if reader.states_mask else ())
     if reader.unclear:
         text = "no track shows on which side some pads of {names} are; check the test points of these parts."
         notes.append(noted("pad-sides-unclear", text, count=len(reader.unclear), names=reader.unclear))

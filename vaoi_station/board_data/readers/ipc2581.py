@@ -29,7 +29,7 @@ from vaoi_station.board_data.design import (
     box_around,
     noted,
 )
-from vaoi_station.board_data.net_points import Openings, numbered, unmasked, vias_without_mask
+from vaoi_station.board_data.net_points import Openings, numbered, unmasked
 from vaoi_station.board_data.panels import Repeat, Step, note_on_panels, panel_of
 from vaoi_station.board_data.panels.step_and_repeat import stated_count
 from vaoi_station.board_data.pin_rules import DrawnPart, Pin, Rule, placed_parts
@@ -164,8 +164,8 @@ class _Reader:
             notes.append(noted("packages-not-described", text, count=len(absent), names=", ".join(sorted(absent)[:8])))
         # Pins of another datum than the parts would lie beside the board.
         moved = any(note.code == "pins-of-other-datum" for note in notes)
-        net_points = () if moved else numbered(self._net_points(step))
-        notes += vias_without_mask(net_points, "SOLDERMASK" in self._functions.values())
+        points, notes_on_mask = ([], []) if moved else self._net_points(step)
+        notes += notes_on_mask
         profile = step.find("Profile")
         outline = self._polygon(profile.find("Polygon")) if profile is not None else []
         cut_outs = [self._polygon(c) for c in profile.iter("Cutout")] if profile is not None else []
@@ -176,7 +176,7 @@ class _Reader:
             tuple(outline),
             tuple(map(tuple, cut_outs)),
             marks=tuple(self._marks(step)),
-            net_points=net_points,
+            net_points=numbered(points),
             notes=tuple(notes),
         )
 
@@ -305,8 +305,8 @@ class _Reader:
                         of = {_plain(pin.get("componentRef", "")) for pin in mark.iter("PinRef")} - {""}
                         yield Mark(f"{tag}{n}", side, self._xy(location), size, kind, components=tuple(sorted(of)))
 
-    def _net_points(self, step: Element) -> Iterator[NetPoint]:
-        """Return the pads of parts, and the vias, on the outer conductors."""
+    def _net_points(self, step: Element) -> tuple[list[NetPoint], list[Note]]:
+        """Return the pads of parts, and the vias, on the outer conductors, and notes on their mask."""
         holes = (hole for hole in step.iter("Hole") if hole.get("platingStatus") == "VIA")
         drilled = Openings(at for hole in holes if (at := self._sound_xy(hole)) is not None)
         masks: dict[Side, list[XY]] = {}
@@ -336,7 +336,7 @@ class _Reader:
                     size = known.diameter or self._smallest(pad)
                     top, bottom = known.on_top or side == "top", known.on_bottom or side == "bottom"
                     found[key] = known._replace(kind=kind, diameter=size, on_top=top, on_bottom=bottom)
-        return unmasked([*found.values()], {side: Openings(places) for side, places in masks.items()})
+        return unmasked(found.values(), {side: Openings(places) for side, places in masks.items()})
 
     def _smallest(self, pad: Element) -> float | None:
         """Return the smallest extent of a pad, mm; None if it is not stated."""

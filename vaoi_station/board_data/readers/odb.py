@@ -33,7 +33,7 @@ from vaoi_station.board_data.design import (
     noted,
     places,
 )
-from vaoi_station.board_data.net_points import Openings, numbered, unmasked, vias_without_mask
+from vaoi_station.board_data.net_points import Openings, numbered, unmasked
 from vaoi_station.board_data.panels import Step, note_on_panels, panel_of
 from vaoi_station.board_data.pin_rules import DrawnPart, Rule, placed_parts
 from vaoi_station.board_data.readers import unix_compress
@@ -208,16 +208,24 @@ class _Job:
                 marks += pad_marks(copper.lines, copper.mm, side)
                 layers[side] = layer, placed_pads(copper)
         for side, layer in mask_layers(matrix).items():
-            if (mask := self._file(f"{folder}/layers/{layer}/features")) is not None:
-                openings[side] = Openings(pad.at for pad in placed_pads(mask).values())
+            mask = self._file(f"{folder}/layers/{layer}/features")
+            if mask is not None and (pads := placed_pads(mask)):
+                openings[side] = Openings(pad.at for pad in pads.values())
         # Pins of another datum than the parts would lie beside the board.
         moved = any(note.code == "pins-of-other-datum" for note in notes)
-        net_points = () if moved else numbered(unmasked([*_net_points(copper_of(eda), pins, layers)], openings))
-        notes += vias_without_mask(net_points, bool(openings))
+        points, more_notes = unmasked(() if moved else _net_points(copper_of(eda), pins, layers), openings)
+        notes += more_notes
         profile = self._file(f"{folder}/profile")
         outline, cut_outs = _board(list(_contours(profile)) if profile else [], [part.origin for part in parts], notes)
         return Design(
-            name, "odb", tuple(parts), outline, cut_outs, marks=tuple(marks), net_points=net_points, notes=tuple(notes)
+            name,
+            "odb",
+            tuple(parts),
+            outline,
+            cut_outs,
+            marks=tuple(marks),
+            net_points=numbered(points),
+            notes=tuple(notes),
         )
 
     def _usual_rule(self, side: Side, _word: str) -> Rule:

@@ -1290,6 +1290,7 @@ const remarks = {
   "parts-without-body": ({ count, names }) => `Widerspruch: ${count} Bauteile sind nur in der ersten Datei, ohne Körper: ${more(names)}.`,
   "pins-of-other-datum": ({ shift_mm }) => `Orte von Anschlüssen haben einen anderen Bezugspunkt als die der Bauteile; sie wurden um (${shift_mm}) mm zurückgeschoben.`,
   "pad-sides-unclear": ({ names }) => `Keine Leiterbahn zeigt, auf welcher Seite einige Pads von ${more(names)} liegen; Prüfpunkte dieser Bauteile prüfen.`,
+  "pads-without-opening": ({ count, names }) => `${count} Pads haben in ihrer Mitte keine Öffnung im Lötstopplack; sie sind trotzdem Prüfpunkte: ${more(names)}.`,
   "pins-unfit": ({ count, names }) => `Die Anschlüsse von ${count} Bauteilen passen zu keinem Winkel ihres Gehäuses; im Bild prüfen: ${more(names)}.`,
   "pitch-below-size": ({ axis, pitch_mm, size_mm }) => `Das Raster entlang ${axis} ist ${pitch_mm} mm, die Leiterplatte misst dort aber ${size_mm} mm.`,
   "places-differ": ({ count, names }) => `Widerspruch: ${count} Bauteile liegen in der zweiten Datei woanders; es gilt die erste: ${more(names)}.`,
@@ -1316,7 +1317,7 @@ const remarks = {
   "unit-guessed": ({ unit }) => `Die Datei nennt keine Einheit; ${unit} wird angenommen, die einzige, bei der die Leiterplatte eine übliche Größe hat.`,
   "table-read-as": ({ columns, unit }) => `Als Tabelle gelesen, Einheit ${unit}; ${columns}. Sonst Spalten und Einheit berichtigen.`,
   "toeprints-left-out": ({ count, names }) => `${count} Toeprints nennen keinen Anschluss mit Ort; sie wurden weggelassen: ${names}.`,
-  "vias-mask-unknown": ({ count }) => `Die Datei sagt nicht, welche ihrer ${count} Vias Lötstopplack bedeckt; alle zählen als Prüfpunkte.`,
+  "vias-mask-unknown": ({ count, sides }) => `Die Datei sagt nicht, welche ihrer ${count} Vias Lötstopplack auf ${SIDES[sides] ? `der ${SIDES[sides]}` : "beiden Seiten"} bedeckt; dort zählen alle als Prüfpunkte.`,
   "variant-read": ({ names, variant }) => `Die Datei hat Bestückungsvarianten (${names}); gelesen wurde ${variant ? `${variant}, die aktuelle` : "die Grundvariante"}.`,
 };
 
