@@ -93,6 +93,8 @@ def test_kicad_copper_layers_that_the_user_has_named(tmp_path: Path, front: int,
     named = KICAD.replace("F.Cu", "Top").replace('"B.Cu"', "C4B").replace('"In1.Cu"', "GND")
     table = f"(layers ({front} Top signal) ({inner} GND power) ({back} C4B signal hide) (36 B.SilkS user)) (net 0"
     assert points(tmp_path, "n.kicad_pcb", named.replace("(net 0", table, 1).encode()) == usual
+    newest = KICAD.replace("(net 0", '(layers (0 "F.Cu" signal) (2 "B.Cu" signal) (4 "In1.Cu" signal "GND")) (net 0', 1)
+    assert points(tmp_path, "v.kicad_pcb", newest.encode()) == usual
     sides = {part.ref: part.side for part in read_design(tmp_path / "n.kicad_pcb").parts}
     assert sides == {"R1": "top", "J1": "bottom"}
 

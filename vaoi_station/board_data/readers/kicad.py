@@ -93,10 +93,11 @@ def _design(root: Node, path: Path) -> Design:
 
 def _name_outer_copper(root: Node) -> None:
     """Give the outer copper layers their usual names; until version 5, files have those of the user everywhere."""
-    # From the front to the back in all versions; their numbers differ.
+    # From the front to the back in all versions that need it; their numbers differ.
     rows = [n for n in first(root, "layers")[1:] if isinstance(n, list) and len(n) > 2 and n[2] in _COPPER_TYPES]
-    outer = {str(rows[0][1]): "F.Cu", str(rows[-1][1]): "B.Cu"} if len(rows) > 1 else {}
-    names = {name: usual for name, usual in outer.items() if name not in outer.values()}
+    stated = [str(row[1]) for row in rows]
+    outer = {stated[0]: "F.Cu", stated[-1]: "B.Cu"} if len(stated) > 1 else {}
+    names = {name: usual for name, usual in outer.items() if usual not in stated}
     nodes = [root] if names else []
     while nodes:
         node = nodes.pop()
