@@ -147,7 +147,8 @@ def lay_out(page: str, folder: Path, stock: Path) -> None:
     for name in ("station.toml", "FILE"):
         shutil.copy(path, folder / name)
     if page == "docs/configuration.md":
-        shutil.copy(ROOT / "deploy" / "station.toml", folder)
+        (folder / "deploy").mkdir()
+        shutil.copy(ROOT / "deploy" / "station.toml", folder / "deploy")
 
 
 class Session:
