@@ -20,6 +20,8 @@ from vaoi_station.files.access_keys import KeyFile
 from vaoi_station.model import ReasonCode
 from vaoi_station.model.codes import code_sections
 
+NO_HELP = 'header a[href="help"] { display: none; }'
+
 
 @pytest.mark.parametrize(
     ("path", "media_type"),
@@ -145,9 +147,17 @@ def test_the_documents_are_served_without_a_key(tmp_path: Path, monkeypatch: pyt
     assert reply.text == "<title>Documents</title>"
     assert "script-src" not in reply.headers["content-security-policy"]  # default-src 'self' holds for scripts
     assert client.get("/api/v1/runs").status_code == 401
+    assert NO_HELP not in client.get("/web/styles.css").text
     (tmp_path / "docs" / "index.html").unlink()
     assert "docs/build_site" in client.get("/help").text
     audit.close()
+
+
+def test_a_station_without_documents_shows_no_entry_of_help(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pages, "HELP", tmp_path)
+    client = TestClient(create_app(HeldStation(), ["testserver"]))
+    assert NO_HELP in client.get("/web/styles.css").text
+    assert '<a href="help"' in client.get("/").text
 
 
 def test_style_sheets_of_two_views_name_no_element_of_both_but_those_of_a_shared_part() -> None:

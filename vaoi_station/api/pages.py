@@ -46,6 +46,8 @@ _STYLES = (
     "board/board.css",
 )
 """The style sheets of the page in the order in which they apply: later ones before earlier ones."""
+_WITHOUT_HELP = "parts/without_help.css"
+"""One more for a station that has no documents as pages."""
 HELP_POLICY = f"{CSP}; style-src 'self' 'unsafe-inline'"
 """The theme of the documents has styles in its pages; scripts are files."""
 _NO_NAMES = frozenset({"", ".", ".."})
@@ -114,9 +116,13 @@ class StaticFiles:
         return kept
 
 
+def _has_help() -> bool:
+    return (HELP / "docs" / "index.html").is_file()
+
+
 async def help_page(request: Request) -> Response:
     """Lead to the first page of the documents; say how to make them where there are none."""
-    if not (HELP / "docs" / "index.html").is_file():
+    if not _has_help():
         return PlainTextResponse("This installation has no documents as pages: docs/build_site makes them.\n", 404)
     return RedirectResponse(f"{root_of(request.scope)}/help/docs/index.html", 307)
 
@@ -125,7 +131,8 @@ def install(app: FastAPI) -> None:
     """Add the pages to the application. They are not part of the OpenAPI document."""
     files = StaticFiles(WEB)
     # One request in place of one for each view: a browser sends six at a time, and asks for styles before all modules.
-    app.router.routes += [Route("/web/styles.css", files.page(*_STYLES)), Mount("/web", files, name="web")]
+    styles = _STYLES if _has_help() else (*_STYLES, _WITHOUT_HELP)
+    app.router.routes += [Route("/web/styles.css", files.page(*styles)), Mount("/web", files, name="web")]
     # Routes of Starlette: those of FastAPI would read parameters, which these addresses do not have.
     app.router.routes += [Route(address, files.page(name)) for address, name in _PAGES.items()]
 

@@ -14,16 +14,16 @@ from vaoi_station.runs.states.tables import StationState
 GUIDE = Path(__file__).parents[3] / "docs" / "operator.md"
 ROWS = [[cell.strip() for cell in line.split("|")[1:-1]] for line in GUIDE.read_text(encoding="utf-8").splitlines()]
 STATES = [
-    (row[0].strip("`"), code.strip("`–"), *row[2:])
+    (row[2].strip("`"), code.strip("`–"), *row[:2])
     for row in ROWS
-    if len(row) == 4 and row[0].startswith("`")
-    for code in row[1].split(", ")
+    if len(row) == 4 and row[2].startswith("`")
+    for code in row[3].split(", ")
 ]
 BOARDS = [
-    (code.strip("`"), *row[1:])
+    (code.strip("`"), *row[:2])
     for row in ROWS
-    if len(row) == 3 and row[0].startswith("`")
-    for code in row[0].split(", ")
+    if len(row) == 3 and row[2].startswith("`")
+    for code in row[2].split(", ")
 ]
 
 

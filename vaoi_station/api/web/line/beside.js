@@ -1,10 +1,10 @@
-// Beside the last board on wide screens: what was measured of it, and the next orders.
+// Beside the last board on wide screens: what was measured of it, the next orders and neighbours. On others neighbours below the page.
 import { lines, make, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { number, texts } from "../texts/texts.js";
 import { Neighbours } from "./neighbours.js";
 
-const WIDE = matchMedia("(min-width: 1300px)"); // as line.css has it: on others nothing is asked for
+const WIDE = matchMedia("(min-width: 1300px)"); // as line.css has it: on others no measures are asked for
 const DIGITS = { sigma_px: 3, ready_ms: 0 };
 const PART = `
 <h2 data-text="lastMeasures"></h2>

@@ -3,7 +3,6 @@ import { make, setText, showLines, View } from "../parts/elements.js";
 import * as rest from "../parts/rest.js";
 import { clock, texts } from "../texts/texts.js";
 
-const WIDE = matchMedia("(min-width: 1300px)"); // as line.css has it
 const AGAIN_MS = 2000;
 const SHOWN = 8; // messages
 const PART = `
@@ -25,7 +24,7 @@ export class Neighbours extends View {
   }
 
   async tick() {
-    if (this.#none || !WIDE.matches || performance.now() - this.#askedAt < AGAIN_MS) return;
+    if (this.#none || performance.now() - this.#askedAt < AGAIN_MS) return;
     this.#askedAt = performance.now();
     await rest.unattended(rest.neighbours().then((status) => this.#show(status)));
   }
