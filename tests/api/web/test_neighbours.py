@@ -46,8 +46,11 @@ def test_a_station_without_neighbours_shows_none(page: Page) -> None:
 
 
 @pytest.mark.browser
-def test_contacts_show_why_nothing_moves_and_a_board_that_a_person_took_out(page: Page) -> None:
-    page.set_viewport_size({"width": 1920, "height": 1080})
+@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (800, 480), (390, 844)])
+def test_contacts_show_why_nothing_moves_and_a_board_that_a_person_took_out(
+    page: Page, width: int, height: int
+) -> None:
+    page.set_viewport_size({"width": width, "height": height})
     station = HeldStation()
     board = BoardBehind(name="r000001", failed=True)
     station.contacts_shown = ContactsStatus(
