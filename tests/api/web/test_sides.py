@@ -122,3 +122,8 @@ def test_the_german_page_translates_reasons_and_fits(browser: Browser, served: A
         assert wide_elements(page) == [], width
         assert examine(page) == [], width
     context.close()
+
+
+def test_an_address_that_cannot_be_read_leads_to_no_board(page: Page, served: Any) -> None:
+    page.goto(f"{served.url}/#/sides/%zz")
+    expect(page.locator("#sides-title")).to_have_text("There is no such board.")

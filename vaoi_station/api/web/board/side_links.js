@@ -14,12 +14,13 @@ export function pageOf({ address, run }, component) {
   return `${other}${page}`;
 }
 
-const SECOND = ["side-coming", "side-too-old", "sides-same"]; // there is a second side, although none is joined
+const SECOND = ["side-too-old", "sides-same"]; // there is a second side, although none is joined
 
 export async function showSideLinks(root, run) {
   const id = run.board_id ?? run.identity?.board_id;
   const board = id ? await rest.bothSides(id).catch(() => null) : null; // without it, all else of the board is shown
-  root.hidden = !board || !((board.top && board.bottom) || board.reasons.some((reason) => SECOND.includes(reason.code)));
+  const second = board && ((board.top && board.bottom) || board.coming.some((name) => !board[name]) || board.reasons.some((reason) => SECOND.includes(reason.code)));
+  root.hidden = !second;
   root.replaceChildren();
   if (root.hidden) return;
   const mine = [board.top, board.bottom, ...board.others].find((side) => side?.run === run.id)?.side;

@@ -33,7 +33,11 @@ export class SidesView extends View {
 
   constructor(_station, id) {
     super(PART, make("div", { className: "sides" }));
-    this.#id = decodeURIComponent(id);
+    try {
+      this.#id = decodeURIComponent(id);
+    } catch {
+      this.#id = id; // there is no such board
+    }
     this.part("sides-find").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#find(this.part("sides-part").value.trim());
@@ -58,8 +62,9 @@ export class SidesView extends View {
     try {
       board = await rest.bothSides(this.#id);
       if (this.#seen === JSON.stringify(board)) return;
-      this.#seen = JSON.stringify(board);
       board = await rest.bothSides(this.#id, { parts: true });
+      // Of what is drawn: a refusal, or what has changed meanwhile, is asked for again.
+      this.#seen = JSON.stringify(board, (key, value) => (key === "parts" ? undefined : value));
     } catch (error) {
       if (!(error instanceof rest.Refusal)) throw error;
       draw(this.part("sides-shape"), "unknown");
