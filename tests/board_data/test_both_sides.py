@@ -39,6 +39,9 @@ def test_both_sides_lie_where_the_page_of_another_program_has_them(file: str, le
         sides.append(BoardSide(
             side=side, run=side, address="", board_type=file, started="2026-11-29T10:00:00Z", verdict="ok",
             components=len(board.components), extent_mm=(tuple(low), tuple(high)), parts=parts,
+            cad_matrix=((1.0, 0.0, 9.0), (0.0, 1.0 if side == "top" else -1.0, 9.0), (0.0, 0.0, 1.0)),
+            turn_certain=True,
         ))  # fmt: skip
     assert found >= least
-    assert join_sides("SN-1", sides, 1.0).reasons == ()
+    joined = join_sides("SN-1", sides, 1.0)
+    assert (joined.reasons, joined.flip) == ((), "x")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vaoi_station.geometry import Camera, Lens, Projective, Similarity, System
-from vaoi_station.model import BoardCode, BoardType, Status
+from vaoi_station.model import BoardCode, BoardType, Reason, Status
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.runs.board_sides import BoardDocument, BoardSide, code_at_place, join_sides, parts_of
 from vaoi_station.stitching.board.board_plane import board_plane, expected_angle, turned_by_flip
@@ -63,6 +63,14 @@ def test_a_missing_side_is_said_and_why() -> None:
     assert codes(join_sides("SN-1", [], 3600.0, ("top",))) == ["side-coming", "side-missing"]
 
 
+def test_a_board_is_not_ok_while_a_side_is_filmed_again_or_the_other_station_is_silent() -> None:
+    sides = side("bottom"), side("top")
+    again = join_sides("SN-1", sides, 3600.0, ("top",))
+    assert (again.status, codes(again)) == (Status.DEGRADED, ["side-coming"])
+    silent = join_sides("SN-1", sides, 3600.0, more=[Reason(code="other-station-silent", message="m", action="a")])
+    assert (silent.status, codes(silent)) == (Status.DEGRADED, ["other-station-silent"])
+
+
 def test_the_newest_run_of_a_side_counts_and_a_second_good_one_is_said() -> None:
     again = side("top", run="again", started="2026-11-29T10:10:00.000Z", verdict="degraded")
     found = joined(side("bottom"), again, side("top"))
@@ -89,6 +97,7 @@ def test_two_runs_that_state_the_same_side_are_no_board(other: dict[str, Any]) -
         ({"verdict": None}, "side-failed", Status.FAILED),
         ({"verdict": "degraded"}, "side-degraded", Status.DEGRADED),
         ({"identity": "differs"}, "side-of-other-board", Status.DEGRADED),
+        ({"identity": "pending"}, "side-coming", Status.DEGRADED),
         ({"revision": "B"}, "sides-other-revision", Status.DEGRADED),
         ({"extent_mm": ((0.0, 0.0), (60.0, 43.0))}, "sides-differ", Status.DEGRADED),
         ({"extent_mm": ((-60.0, 0.0), (0.0, 40.0))}, "sides-differ", Status.DEGRADED),
@@ -109,6 +118,9 @@ def test_an_order_or_a_code_at_its_place_states_the_flip_where_fiducials_do_not(
     doubtful = {"turn_certain": False}
     ordered = joined(side("bottom", **doubtful, flip="x"), side("top", **doubtful))
     assert (ordered.reasons, ordered.flip, ordered.flip_by) == ((), "x", ("order",))
+    assert joined(side("bottom", **doubtful, flip="x"), side("top")).flip_by == ("order",), (
+        "one certain side shows none"
+    )
     read = joined(side("bottom", **doubtful, code_at_place=True), side("top"))
     assert (read.reasons, read.flip, read.flip_by) == ((), "x", ("codes", "cad"))
     assert codes(joined(side("bottom", flip="x"), side("top", flip="y"))) == ["flip-contradicts"]

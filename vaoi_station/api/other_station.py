@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
+import threading
+from contextlib import suppress
+from datetime import datetime
 from urllib.parse import quote, urlencode, urlsplit
 
 from pydantic import ValidationError
@@ -45,7 +49,12 @@ class OtherStation:
                 return None
             if status != http.client.OK:
                 raise ValueError(f"status {status}")
-            return self._addressed(BoardDocument.model_validate_json(content))
+            board = BoardDocument.model_validate_json(content, extra="ignore")
+            if board.board_id != board_id:
+                raise ValueError(f"it tells of board {board.board_id!r}")
+            for side in board.every_side:
+                datetime.fromisoformat(side.started).timestamp()
+            return self._addressed(board)
         except (OSError, http.client.HTTPException, ValidationError, ValueError, AttributeError) as error:
             why = "another document than expected" if isinstance(error, ValidationError) else str(error)
             raise DeviceError(
@@ -62,19 +71,32 @@ class OtherStation:
             connection = http.client.HTTPSConnection(host, port, timeout=TIMEOUT_S, context=context)
         else:
             connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
+        connection.connect()
+        # The time-out of a socket begins anew with each byte.
+        end = threading.Timer(2 * TIMEOUT_S, _shut, (connection.sock,))
+        end.daemon = True
+        end.start()
         try:
             connection.request("GET", path, headers=self._credentials.headers())
             reply = connection.getresponse()
-            return reply.status, reply.read(_MOST_BYTES)
+            content = reply.read(_MOST_BYTES)
+            if end.finished.is_set():
+                raise TimeoutError(f"its reply is not complete after {2 * TIMEOUT_S:g} s")
+            return reply.status, content
         finally:
+            end.cancel()
             connection.close()
 
     def _addressed(self, board: BoardDocument) -> BoardDocument:
         """Return the document with whole addresses of its runs."""
-        origin = f"{self._parts.scheme}://{self._parts.netloc}"
 
         def whole(side: BoardSide) -> BoardSide:
-            return side.model_copy(update={"address": origin + side.address})
+            return side.model_copy(update={"address": f"{self.address}/api/v1/runs/{quote(side.run, safe='')}"})
 
         sides = {"top": board.top and whole(board.top), "bottom": board.bottom and whole(board.bottom)}
         return board.model_copy(update={**sides, "others": tuple(map(whole, board.others))})
+
+
+def _shut(connection: socket.socket) -> None:
+    with suppress(OSError):  # It was closed meanwhile.
+        connection.shutdown(socket.SHUT_RDWR)

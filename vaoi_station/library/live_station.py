@@ -45,7 +45,7 @@ from vaoi_station.library.arguments import (
 from vaoi_station.library.board_data import ImportChoices
 from vaoi_station.library.component_images import ComponentImages, component_height, made_image
 from vaoi_station.library.picture_stream import ComponentPictures, read_pictures
-from vaoi_station.model import BoardType, Status, Stitch
+from vaoi_station.model import BoardType, Reason, Status, Stitch
 from vaoi_station.model.board_identity import IdentityDocument
 from vaoi_station.model.board_type import BoardTypeState
 from vaoi_station.rendering.request import ImageOptions, ImageRequest
@@ -661,7 +661,7 @@ class Station:
         NotFoundError: no run of any of them shows a board with this id, and no order is for it.
         """
         path, missing = f"/boards/{quote(require_text('board', 'board_id', board_id), safe='')}", None
-        sides, coming = list[BoardSide](), list[SideName]()
+        sides, coming, silent = list[BoardSide](), list[SideName](), list[Reason]()
         for station in (self, *others):
             try:
                 found = station._client.read(BoardDocument, path, within=within_s, parts=True, alone=bool(others))
@@ -672,9 +672,10 @@ class Station:
                 address = side.address if "://" in side.address else station._client.url(side.address)
                 sides.append(side.model_copy(update={"address": address}))
             coming += found.coming
+            silent += [reason for reason in found.reasons if reason.code == "other-station-silent"]
         if missing is not None and not sides and not coming:
             raise missing
-        return join_sides(board_id, sides, within_s, coming)
+        return join_sides(board_id, sides, within_s, coming, more=silent)
 
     def counts(self, since: str | datetime | None = None) -> RunCounts:
         """Return the numbers of boards by verdict, and of missed ones, since a time; by default since midnight."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime, timedelta
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from vaoi_station.errors import NotFoundError, VaoiError
 from vaoi_station.geometry.transforms import Floats
@@ -20,19 +21,30 @@ from vaoi_station.runs.kept_runs import KeptRuns
 from vaoi_station.runs.states.run_ids import in_utc, utc
 from vaoi_station.runs.states.schemas import FlipAxis, OrderStatus, RunSummary
 from vaoi_station.runs.states.tables import FINISHED
-from vaoi_station.store.run_search import RunFilter
+from vaoi_station.store.run_search import MOST_SCANNED, RunFilter
 
 SideName = Literal["top", "bottom"]
 _SIDES: tuple[SideName, SideName] = ("top", "bottom")
-_MOST_RUNS = 20
-"""Runs of one id that are read, the newest first."""
+_PAGE, _PAGES, _MOST_RUNS = 100, 5, 10
+"""Runs of one id that a search returns, searches of which each reads some of the station's runs, and runs of one side
+whose results are read, the newest first."""
 _SAME_MM, _SQUARE_DEG = 1.0, 10.0
 """Sides of one board have outlines that differ by less, and are flipped about an axis that is so near to x or y."""
 _MOST_SHARED, _MOST_NAMED = 0.1, 3
 """Share of the parts of a side that the other may list too, as logos and holes; parts that a message names."""
 _DAY_S, _MOST_S = 86400.0, 1e9
 Point = tuple[float, float]
-Matrix = tuple[tuple[float, float, float], ...]
+
+
+def _invertible(matrix: tuple[tuple[float, float, float], ...]) -> tuple[tuple[float, float, float], ...]:
+    if not abs(np.linalg.det(np.array(matrix)[:2, :2])) > 0:
+        raise ValueError("the matrix has no inverse")
+    return matrix
+
+
+Matrix = Annotated[
+    tuple[tuple[float, float, float], ...], Field(min_length=3, max_length=3), AfterValidator(_invertible)
+]
 
 
 class SideParts(Strict):
@@ -80,7 +92,9 @@ class BoardDocument(Strict):
     """A board with both sides. CAD coordinates are those of the top view on both, so that parts have one frame."""
 
     board_id: str
-    status: Status = Field(description="ok: both sides are there, are ok and agree.")
+    status: Status = Field(
+        description="ok: both sides are there, are ok and agree, none is coming again, and `other_station` replies."
+    )
     reasons: tuple[Reason, ...] = ()
     top: BoardSide | None = None
     bottom: BoardSide | None = None
@@ -118,6 +132,8 @@ class FoundSides(NamedTuple):
     sides: list[BoardSide]
     runs: dict[str, FinishedRun]
     coming: tuple[SideName, ...]
+    among: str = ""
+    """Of which runs these are, for a message, if not all were searched."""
 
     def with_parts(self, side: BoardSide) -> BoardSide:
         """Return a side with its parts; one of another station as it is."""
@@ -143,9 +159,14 @@ def find_sides(board_id: str, line: Line, within_s: float, prefix: str) -> Found
     `prefix` is the address of all runs. Raise NotFoundError if there is nothing.
     """
     sides, runs, coming = list[BoardSide](), dict[str, FinishedRun](), list[SideName]()
-    for run in _summaries(board_id, line.kept, within_s, lambda: {side.side for side in sides} == set(_SIDES)):
+    search, many = _Search(board_id, line.kept), Counter[SideName]()
+    for run in search.runs(within_s, lambda: {side.side for side in sides} == set(_SIDES)):
+        shows = _side_of(run.board_type, line)
         if run.state not in FINISHED:
-            coming += _side_of(run.board_type, line)
+            coming += shows
+            continue
+        many.update(shows)
+        if any(many[side] > _MOST_RUNS for side in shows):
             continue
         with suppress(VaoiError):  # It was forgotten meanwhile.
             runs[run.id] = line.finished(run.id)
@@ -153,31 +174,55 @@ def find_sides(board_id: str, line: Line, within_s: float, prefix: str) -> Found
     coming += [order.side for order in line.orders if order.board_id == board_id]
     if not sides and not coming:
         raise NotFoundError(
-            f"No finished run shows a board with the id {board_id!r}.",
+            f"No finished run shows a board with the id {board_id!r}{search.among}.",
             action="Check the id; runs?board_id= and runs?read_id= search for it.",
             code="unknown-board",
         )
     sides.sort(key=lambda side: side.started, reverse=True)
-    return FoundSides(sides, runs, tuple(side for side in _SIDES if side in coming))
+    return FoundSides(sides, runs, tuple(side for side in _SIDES if side in coming), search.among)
 
 
-def _summaries(board_id: str, kept: KeptRuns, within_s: float, complete: Callable[[], bool]) -> Iterator[RunSummary]:
-    """Yield the runs of a board: those within the time of its newest one; older ones too unless it is complete then."""
-    by_code, _ = kept.with_id(board_id, RunFilter(), _MOST_RUNS, None)
-    newest, _ = kept.history.find(RunFilter(board_id=board_id), 1, None)
-    seen = set[str]()
-    if not (found := [*by_code, *newest]):
-        return
-    last = max(datetime.fromisoformat(run.started) for run in found)
-    # A search that is bounded by time reads few of the station's runs.
-    for since in (in_utc(last - timedelta(seconds=min(within_s, _MOST_S))), None):
-        wanted = RunFilter(board_id=board_id, since=None if since is None else utc(since))
-        found += kept.history.find(wanted, _MOST_RUNS, None)[0]
-        new = {run.id: run for run in found if run.id not in seen}
-        seen.update(new)
-        yield from new.values()
-        if complete():
+class _Search:
+    """The search for the runs of a board, in a bounded number of pages."""
+
+    def __init__(self, board_id: str, kept: KeptRuns) -> None:
+        self._id, self._kept = board_id, kept
+        self.among = ""
+        """Where it ended, for a message, if there were more runs."""
+
+    def runs(self, within_s: float, complete: Callable[[], bool]) -> Iterator[RunSummary]:
+        """Yield the runs within the time of the newest one, then older ones too unless the board is complete."""
+        found = self._pages(lambda before: self._kept.with_id(self._id, RunFilter(), _PAGE, before))
+        newest = self._by_id(None, 1)
+        seen = set[str]()
+        if not (found := [*found, *newest]):
             return
+        last = max(datetime.fromisoformat(run.started) for run in found)
+        # A search that is bounded by time reads few of the station's runs.
+        for since in (in_utc(last - timedelta(seconds=min(within_s, _MOST_S))), None):
+            found += self._by_id(None if since is None else utc(since), _PAGE)
+            new = {run.id: run for run in found if run.id not in seen}
+            seen.update(new)
+            yield from sorted(new.values(), key=lambda run: run.started, reverse=True)
+            if complete():
+                return
+
+    def _by_id(self, since: str | None, most: int) -> list[RunSummary]:
+        """Return the newest runs for which the id was armed; at most one if `most` is 1."""
+        wanted = RunFilter(board_id=self._id, since=since)
+        return self._pages(lambda before: self._kept.history.find(wanted, most, before), first=most == 1)
+
+    def _pages(
+        self, find: Callable[[str | None], tuple[Sequence[RunSummary], str | None]], *, first: bool = False
+    ) -> list[RunSummary]:
+        found, before = list[RunSummary](), None
+        for _ in range(_PAGES):
+            runs, before = find(before)
+            found += runs
+            if before is None or (first and found):
+                return found
+        self.among = f" among the newest {_PAGES * MOST_SCANNED} runs of the station, or {_PAGES * _PAGE} of this id"
+        return found
 
 
 def _side_of(board_type: str, line: Line) -> list[SideName]:
@@ -259,10 +304,14 @@ def join_sides(
     within_s: float,
     coming: Sequence[SideName] = (),
     with_parts: Callable[[BoardSide], BoardSide] = lambda side: side,
+    *,
+    among: str = "",
+    more: Sequence[Reason] = (),
 ) -> BoardDocument:
     """Join the newest run of each side; what is missing or contradicts is among the reasons.
 
-    `with_parts` adds the parts to a side that is joined, if it has none.
+    `with_parts` adds the parts to a side that is joined, if it has none; `among` says which runs were searched if not
+    all were; `more` are further reasons.
     """
     ordered = sorted({_key(side): side for side in reversed(sides)}.values(), key=_time, reverse=True)
     recent = [side for side in ordered if _time(ordered[0]) - _time(side) <= within_s]
@@ -273,7 +322,9 @@ def join_sides(
         reason
         for name in _SIDES
         for reason in (
-            _of_side(found[name], recent) if name in found else _of_missing(name, recent, others, coming, within_s)
+            _of_side(found[name], recent, coming)
+            if name in found
+            else _of_missing(name, recent, others, coming, (within_s, among))
         )
     ]
     top, bottom = found.get("top"), found.get("bottom")
@@ -281,6 +332,7 @@ def join_sides(
     if top is not None and bottom is not None:
         reasons += _differences(top, bottom)
         flip = _flip(top, bottom, reasons)
+    reasons += more
     worst = Status.FAILED if any(reason.code == "side-failed" for reason in reasons) else Status.DEGRADED
     return BoardDocument(
         board_id=board_id,
@@ -296,7 +348,7 @@ def join_sides(
     )
 
 
-def _of_side(side: BoardSide, recent: Sequence[BoardSide]) -> list[Reason]:
+def _of_side(side: BoardSide, recent: Sequence[BoardSide], coming: Sequence[SideName]) -> list[Reason]:
     """Return what one side has against it."""
     what, reasons = f"the {side.side}, run {side.run}", list[Reason]()
     if side.verdict in (None, Status.FAILED):
@@ -305,6 +357,11 @@ def _of_side(side: BoardSide, recent: Sequence[BoardSide]) -> list[Reason]:
     elif side.verdict is Status.DEGRADED:
         message = f"{what}, is degraded"
         reasons.append(Reason(code="side-degraded", message=message, action="See the reasons of the run."))
+    if side.side in coming:
+        reasons.append(_coming(side.side))
+    elif side.identity == "pending":
+        message = f"the codes of the {side.side}, run {side.run}, are being read"
+        reasons.append(Reason(code="side-coming", message=message, action="Wait until they are read."))
     if side.identity == "differs":
         message = f"the codes of the {side.side}, run {side.run}, state another id"
         reasons.append(Reason(code="side-of-other-board", message=message, action="Identify the board."))
@@ -316,17 +373,22 @@ def _of_side(side: BoardSide, recent: Sequence[BoardSide]) -> list[Reason]:
     return reasons
 
 
+def _coming(name: SideName) -> Reason:
+    message = f"the {name} is being filmed or stitched, or an order waits for it"
+    return Reason(code="side-coming", message=message, action="Wait until its run has finished.")
+
+
 def _of_missing(
     name: SideName,
     recent: Sequence[BoardSide],
     others: Sequence[BoardSide],
     coming: Sequence[SideName],
-    within_s: float,
+    searched: tuple[float, str],
 ) -> list[Reason]:
-    """Return why a side is not there."""
+    """Return why a side is not there. `searched` is the time between sides, and which runs were searched."""
+    within_s, among = searched
     if name in coming:
-        message = f"the {name} is being filmed or stitched, or an order waits for it"
-        return [Reason(code="side-coming", message=message, action="Wait until its run has finished.")]
+        return [_coming(name)]
     if len({(run.board_type, run.station, run.address.rpartition("/")[0]) for run in recent}) > 1:
         both = " and ".join(f"{run.run} ({run.board_type!r})" for run in recent[:2])
         message = f"runs {both} both show the {recent[0].side}"
@@ -339,7 +401,7 @@ def _of_missing(
         message = f"the {name}, run {old.run}, was filmed {apart} before the other side; the limit is {within_s:g} s"
         action = "Check clocks, and that no two boards have this id; film it again, or ask for a longer time."
         return [Reason(code="side-too-old", message=message, action=action)]
-    message = f"no run shows the {name}"
+    message = f"no run shows the {name}{among}"
     reasons = [Reason(code="side-missing", message=message, action="Film it, or ask the station that films it.")]
     if len(recent) > 1 and all(run.verdict is Status.OK for run in recent):
         message = f"the {recent[0].side} was filmed {len(recent)} times, each time with the verdict ok"
@@ -406,10 +468,11 @@ def _flip(top: BoardSide, bottom: BoardSide, reasons: list[Reason]) -> _Flip:
         action = "State `flip` in the order, or describe a code or an unsymmetrical fiducial in the board type."
         reasons.append(Reason(code="flip-unknown", message=message, action=action))
         return _Flip()
+    certain = _certain(top) and _certain(bottom)  # One side that may lie turned leaves the axis to the order.
     witnesses = (
         ("order", order is not None),
-        ("codes", top.code_at_place or bottom.code_at_place),
-        ("cad", top.turn_certain or bottom.turn_certain),
+        ("codes", certain and (top.code_at_place or bottom.code_at_place)),
+        ("cad", certain and (top.turn_certain or bottom.turn_certain)),
     )
     return _Flip(measured, tuple(name for name, says in witnesses if says), axis_deg)  # type: ignore[misc]
 

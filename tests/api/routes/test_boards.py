@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import vaoi_station as vaoi
 from tests.api.conftest import Served
 from tests.api.held.setup_files import setup_files
 from tests.api.held_station import HeldStation
+from tests.hermes.station import free_port
 
 BOARDS = "/api/v1/boards"
 
@@ -41,6 +43,25 @@ def test_a_side_that_is_being_stitched_or_ordered_is_said_to_come(client: Any, s
     assert ([r["code"] for r in found["reasons"]], found["coming"]) == (["side-missing", "side-coming"], ["bottom"])
     station.film(board_id="SN-1", finish=False)
     assert client.get(f"{BOARDS}/SN-1").json()["coming"] == ["top", "bottom"]
+
+
+def test_an_older_side_is_found_behind_many_runs_and_a_search_that_ends_early_says_so(
+    client: Any, station: Any
+) -> None:
+    station.types["lower"] = station.types["demo-board"].model_copy(update={"name": "lower", "side": "bottom"})
+    bottom = station.film(board_id="SN-1", board_type="lower")
+    for _ in range(21):
+        station.film(board_id="SN-1")
+    found = client.get(f"{BOARDS}/SN-1").json()
+    assert found["bottom"]["run"] == bottom
+    assert len(found["others"]) == 9
+    station.film(board_id="SN-2")
+    for _ in range(8):
+        station.film()
+    station.kept.history.most_scanned = 4
+    assert client.get(f"{BOARDS}/SN-2").json()["top"]
+    station.kept.history.most_scanned = 1
+    assert "among the newest" in client.get(f"{BOARDS}/SN-2").json()["detail"]
 
 
 def test_parts_of_a_side_are_listed_if_asked_for(client: Any, station: Any) -> None:
@@ -83,12 +104,13 @@ def test_two_stations_that_film_the_same_side_are_told_so() -> None:
     assert [reason.code for reason in found.reasons] == ["sides-same"]
 
 
-def beside(other: str, folder: Path, station: HeldStation) -> Served:
+def beside(other: str, folder: Path, station: HeldStation, port: int = 0) -> Served:
     """Serve a station whose station.toml names the one of the other side."""
+    folder.mkdir(exist_ok=True)
     files = setup_files(folder)
     api = files.config.api.model_copy(update={"other_station": other})
     files.config = files.config.model_copy(update={"api": api})
-    return Served(station, files=files)
+    return Served(station, port, files=files)
 
 
 def test_a_station_tells_the_side_that_another_one_films_and_says_if_that_is_silent(tmp_path: Path) -> None:
@@ -108,5 +130,23 @@ def test_a_station_tells_the_side_that_another_one_films_and_says_if_that_is_sil
         silent = first.client.get(f"{BOARDS}/SN-1").json()
         assert [reason["code"] for reason in silent["reasons"]] == ["side-missing", "other-station-silent"]
         assert second.url in silent["reasons"][1]["message"]
+        assert vaoi.connect(first.url).board("SN-1").reasons[1].code == "other-station-silent"
     finally:
         first.stop()
+
+
+def test_stations_that_name_each_other_do_not_wait_for_each_other(tmp_path: Path) -> None:
+    port = free_port()
+    first = beside(f"http://127.0.0.1:{port}", tmp_path / "first", HeldStation())
+    second = beside(first.url, tmp_path / "second", turned_over(), port)
+    try:
+        for served in (first, second):
+            served.station.film(board_id="SN-1")
+        with ThreadPoolExecutor(8) as pool:
+            asked = [pool.submit(served.client.get, f"{BOARDS}/SN-1") for served in (first, second) for _ in range(4)]
+            replies = [one.result().json() for one in asked]
+    finally:
+        first.stop()
+        second.stop()
+    assert all({"top", "bottom"} <= set(reply) for reply in replies)
+    assert "other-station-silent" not in str(replies)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 
 from vaoi_station.api.http_caching import LIVE, json_response
+from vaoi_station.api.limits import caller_of
 from vaoi_station.api.parameters import rest_router
 from vaoi_station.api.routes.services import Services
 from vaoi_station.errors import DeviceError, NotFoundError
@@ -23,7 +24,7 @@ def router(services: Services) -> APIRouter:
     routes = rest_router(prefix="/boards", tags=["runs"])
     coordinator, ask, search = services.coordinator, services.commands.ask, services.searching.ask
 
-    @routes.get("/{board_id:path}", dependencies=[Depends(services.search_seats.hold)], response_model=BoardDocument)
+    @routes.get("/{board_id:path}", response_model=BoardDocument)
     async def get_board(
         request: Request,
         board_id: BoardId,
@@ -39,12 +40,13 @@ def router(services: Services) -> APIRouter:
         that `other_station` of station.toml names. In Python, `station.board(id, other)` joins any stations.
         """
         prefix = request.url.path.partition("/boards/")[0] + "/runs"
-        other, elsewhere, silent = services.other_station, None, None
+        other, elsewhere, silent = services.other_station, None, list[Reason]()
         if other is not None and not alone:
             try:
-                elsewhere = await ask(other.board, board_id, within)
+                elsewhere = await services.elsewhere.listen(other.board, board_id, within)
             except DeviceError as error:
-                silent = Reason(code="other-station-silent", message=error.message, action=error.action)
+                # Even with both sides here: a newer run of one may be there.
+                silent = [Reason(code="other-station-silent", message=error.message, action=error.action)]
 
         def joined(line: Line) -> BoardDocument:
             try:
@@ -56,13 +58,13 @@ def router(services: Services) -> APIRouter:
             sides, coming = found.sides, found.coming
             if elsewhere is not None:
                 sides, coming = [*sides, *elsewhere.every_side], (*coming, *elsewhere.coming)
-            board = join_sides(board_id, sides, within, coming, found.with_parts)
-            if silent is not None and (board.top is None or board.bottom is None):
-                board = board.model_copy(update={"reasons": (*board.reasons, silent)})
+            board = join_sides(board_id, sides, within, coming, found.with_parts, among=found.among, more=silent)
             return board if parts else board.without_parts()
 
         orders = (await ask(coordinator.orders.list)).orders
         line = Line(coordinator.kept, coordinator.finished, coordinator.board_type, orders)
-        return json_response(request, await search(joined, line), LIVE)
+        # Not held while the other station is asked, which asks this one: both would wait for seats of each other.
+        async with services.search_seats.take(caller_of(request).name):
+            return json_response(request, await search(joined, line), LIVE)
 
     return routes

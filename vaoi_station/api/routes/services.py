@@ -15,7 +15,7 @@ from vaoi_station.runs.control.coordinator import StationCoordinator
 COMMAND_THREADS = 16
 PICTURE_THREADS, PICTURES_OF_CALLER = 8, 6
 """Pictures that are made at the same time; those of one caller that are being made or have not been read yet."""
-EXPLAINED_THREADS = 4
+EXPLAINED_THREADS, ELSEWHERE_THREADS = 4, 4
 SEARCH_THREADS, SEARCHES, SEARCHES_OF_CALLER = 2, 4, 2
 """Searches at a time (the database has more readers, which stay for others); searches and long lists, in all and of one
 caller, that are made or not yet read. One reads up to 20,000 rows: in the threads of commands, many of them would let
@@ -39,6 +39,8 @@ class Services:
         default_factory=lambda: QueuedSeats("pictures", PICTURE_THREADS, PICTURES_OF_CALLER)
     )
     """For frames and temporary images: a seat is the right to one picture in memory."""
+    elsewhere: ThreadLimit = field(default_factory=lambda: ThreadLimit(ELSEWHERE_THREADS))
+    """For questions to the other station, which may be silent: they must not take the threads of commands."""
     explained: ThreadLimit = field(default_factory=lambda: ThreadLimit(EXPLAINED_THREADS))
     """For calls that may wait for the complete result of a run."""
     searching: ThreadLimit = field(default_factory=lambda: ThreadLimit(SEARCH_THREADS))

@@ -1396,7 +1396,7 @@ const translated = {
 
 const boardSides = {
   "side-missing": "Kein Lauf zeigt diese Seite. Diese Seite aufnehmen oder die Station fragen, die sie aufnimmt.",
-  "side-coming": "Eine Seite wird noch aufgenommen oder berechnet, oder ihr Auftrag wartet. Warten, bis ihr Lauf fertig ist.",
+  "side-coming": "Eine Seite wird noch aufgenommen oder berechnet, ihre Codes werden gelesen, oder ihr Auftrag wartet. Warten, bis ihr Lauf fertig ist.",
   "side-too-old": "Eine Seite wurde viel früher aufgenommen als die andere. Uhren prüfen, und ob zwei Baugruppen diese Nummer haben; diese Seite noch einmal aufnehmen oder nach einer längeren Zeit fragen.",
   "side-degraded": "Die Bilder einer Seite sind nur mit Vorbehalt gut. Die Gründe ihres Laufs ansehen.",
   "side-failed": "Von einer Seite gibt es keine brauchbaren Bilder. Diese Seite noch einmal aufnehmen.",
