@@ -120,6 +120,7 @@ def test_the_line_of_the_twin_announces_boards_and_takes_what_is_offered(make_co
     controller, plan, events = make_controller(boards=1, smema=Smema(sides="both"))
     controller.arm(plan)
     announced = AnnouncedBoards(30.0)
+    announced.follow(ContactsChanged(0, -100.0, Contacts()))
     while not isinstance(event := events.get(timeout=20.0), BarrierBlocked):
         if isinstance(event, ContactsChanged):
             announced.follow(event)

@@ -27,9 +27,13 @@ class AnnouncedBoards:
     nothing announces behind a failed one: a bad board never passes as a good one.
     """
 
-    def __init__(self, longest_s: float) -> None:
-        """Begin without contacts. `longest_s`: a board has met the barrier this long after its contact opened."""
-        self._longest_s = longest_s
+    def __init__(self, longest_s: float, *, wired: bool = True) -> None:
+        """Begin while boards may be on their way.
+
+        `longest_s`: a board has met the barrier this long after its contact opened. `wired` is whether contacts will
+        be reported: until then, each board counts as failed.
+        """
+        self._longest_s, self._wired = longest_s, wired
         self._contacts: Contacts | None = None
         self._opened_s = -math.inf
         self._waiting = 0
@@ -37,7 +41,7 @@ class AnnouncedBoards:
         """Time until which a failed board may come; infinite while its contact is closed."""
         self._swapped = False
         """Whether the latest board counted as failed: a board that nothing announces may be the one that is meant."""
-        self._lost = False
+        self._lost = True
         self._lost_until_s = -math.inf
         """Time until which a board may come whose announcement was lost."""
         self._came: Came | None = None
@@ -61,7 +65,7 @@ class AnnouncedBoards:
 
     def lose(self, code: str) -> None:
         """Take a fault of the controller by its code. If changes were lost, the next boards count as failed ones."""
-        if self._contacts is not None and code in _LOSING:
+        if self._wired and code in _LOSING:
             self._lost, self._came = True, None
 
     def _change(self, contacts: Contacts, time_s: float) -> None:
@@ -80,7 +84,7 @@ class AnnouncedBoards:
     def _arrive(self, time_s: float) -> Came | None:
         """Take that a board meets the barrier; return how it was announced, None without contacts."""
         if self._contacts is None:
-            return None
+            return "failed" if self._wired else None
         self._forget(time_s)
         lost = time_s < self._lost_until_s
         if not self._waiting and not _closed(self._contacts):

@@ -95,7 +95,7 @@ class Session:
         self._outdated_until_s = -math.inf
         """Host time before which events are outdated: they belong to a run or pulse that was given up."""
         self._passages = Passages(controller_clock)
-        self.announced = AnnouncedBoards(config.line.transport_s[1])
+        self.announced = AnnouncedBoards(config.line.transport_s[1], wired=config.smema is not None)
         self._disarming = False
         self.trial = TrialPulse(config.cameras, devices, self._slot_queue, lambda: self.plan is not None)
 
