@@ -392,3 +392,10 @@ def test_a_board_that_is_bad_by_contact_is_passed_on_as_bad_whatever_the_message
     played.film("run-1")
     played.film("run-2")
     assert [(b.announced, b.values["FailedBoard"]) for b in played.lane.waiting] == [(True, "2"), (False, "2")]
+
+
+def test_a_board_that_was_not_filmed_leaves_as_bad_where_contacts_may_have_said_so(played: Played) -> None:
+    played.connect("downstream")
+    played.orders.bad_by_contacts = {""}
+    played.lane.run_ended(None, 0.0)
+    assert played.sent["downstream"][-1].values["FailedBoard"] == "2"

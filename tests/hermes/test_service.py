@@ -235,3 +235,8 @@ def test_connections_of_supervisory_systems_are_few_and_must_say_something(
         again = Peer(stack.enter_context(closing(station.connect(above))))
         again.send(Message.of("GetConfiguration"))
         again.next("CurrentConfiguration")
+
+
+def test_a_full_place_holds_the_line_also_if_no_message_comes_from_upstream(station: PlayedStation) -> None:
+    station.film()
+    wait_for(lambda: [reason.code for reason in station.service.reasons()] == ["boards-wait"])

@@ -70,7 +70,10 @@ class LineOrders(Protocol):
         """Return the announced board of a run; None if there is none, or it is not certain."""
 
     def came_failed(self, run: str, /) -> bool:
-        """Return whether the board of a run came as a failed one, by messages or by contacts."""
+        """Return whether the board of a run came as a failed one, by messages or by contacts.
+
+        With "", for a board without a run: whether it may have.
+        """
 
 
 def announce(orders: LineOrders, config: Hermes, message: Message, publish: Callable[..., Any]) -> tuple[Reason, ...]:
@@ -340,7 +343,7 @@ class Lane:
         own = str(uuid.uuid5(_OWN_IDS, f"{self.machine}/{run}") if run is not None else uuid.uuid4())
         # It may be any of those that came: if one of them is bad, it must not pass as one that may be good.
         bad = (known is not None and known.failed == "bad") or any(c.get("FailedBoard") == "2" for c in self._came)
-        failed = "2" if bad or (run is not None and self.orders.came_failed(run)) else "0"
+        failed = "2" if bad or self.orders.came_failed(run or "") else "0"
         values = {"BoardId": own, "BoardIdCreatedBy": self.machine, "FailedBoard": failed, "FlippedBoard": "0"}
         return Inside(own, values, {}, run, announced=False)
 
@@ -381,7 +384,7 @@ class Lane:
         """
         if wait is None:
             wait = self.orders.may_accept(self.config.lane)
-        self.held = (*wait, *(self.doubt() or self._full()))
+        self.held = tuple(dict.fromkeys((*wait, *(self.doubt() or self.full()))))  # `wait` may have them too
         self._decide_upstream(now_s)
         self._decide_downstream(now_s)
 
@@ -393,7 +396,8 @@ class Lane:
         message = f"It is not known whether the next machine has board {first.board_id}."
         return (Reason(code="board-between-machines", message=message, action=_SAY_OUT),)
 
-    def _full(self) -> tuple[Reason, ...]:
+    def full(self) -> tuple[Reason, ...]:
+        """Return the reason that there is no room behind the cameras; empty if there is."""
         inside = len(self.waiting) + len(self.passing)
         if not self.passes_on or inside < self.config.places:
             return ()

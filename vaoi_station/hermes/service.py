@@ -215,7 +215,7 @@ class HermesService:
         return self.thread.serving(watch, self._stopping.set, STOP_S)
 
     def reasons(self) -> tuple[Reason, ...]:
-        """Return warnings: neighbours that are not there, addresses that cannot be used, a board between machines."""
+        """Return warnings: lost neighbours, addresses that cannot be used, a board between machines, no free place."""
         if self._loop is None:
             return ()  # it is not running yet
         now_s = time.monotonic()
@@ -226,7 +226,7 @@ class HermesService:
             if now_s - since_s > LOST_S
         )
         bad = (Reason(code="line-address", message=text, action=action) for text in self._faults.copy().values())
-        return (*lost, *bad, *self._lane.doubt())
+        return (*lost, *bad, *(self._lane.doubt() or self._lane.full()))
 
     def status(self) -> LineStatus:
         """Return neighbours, boards and the last messages."""

@@ -127,7 +127,7 @@ class OrderRequests:
         return self._inbox.ask(lambda: self._core.line.orders.queue.board_of_run(run))
 
     def came_failed(self, run: str) -> bool:
-        """Return whether contacts or messages of the machine upstream announced the board of a run as failed."""
+        """Return whether contacts or messages announced the board of a run as failed; "": may one without a run be."""
         return self._core.contacts.came_failed(run)
 
     def _refusals(self, lane: int) -> tuple[Reason, ...]:

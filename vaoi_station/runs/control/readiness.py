@@ -22,7 +22,7 @@ from vaoi_station.store.storage_trouble import PASSING
 CODE = "camera-lost"
 NOT_READY = PASSING | {CODE, "workers-starting", "ring-full", "not-armed-again", "no-calibration"}
 """Codes of reasons and warnings with which the next board would not be filmed completely, or not kept on disk."""
-_HOLDING = NOT_READY - PASSING - {CODE, "ring-full"} | {"thread-lost", "boards-wait"}
+_HOLDING = NOT_READY - PASSING - {CODE, "ring-full"} | {"thread-lost", "boards-wait", "board-between-machines"}
 """Codes of warnings and faults that hold the next board back; those left out are found by themselves."""
 VALID_S = 1.0
 """Time for which a permit is valid after it was given or renewed, s. At the latest then, the output falls."""

@@ -64,7 +64,8 @@ def snapshot_of(
             *_address_warnings(config),
             *flat_field_warnings(config, order.setup.lights if order is not None else ()),
             *worker_warnings(processes),
-            *core.other_warnings(),
+            # A full place behind the cameras holds the next board back, and is no fault.
+            *(reason for reason in core.other_warnings() if reason.code not in readiness.EXPECTED),
         ),
         set_aside=core.storage.set_aside(),
         armed_with=orders.shown(),
@@ -98,7 +99,7 @@ def line_held(
     # Only of an armed line is everything evaluated: this runs after every message while frames are being settled.
     others = (*faults, *core.line.warnings(), *core.contacts.held())
     if state is StationState.ARMED:
-        others += worker_warnings(processes())
+        others += (*worker_warnings(processes()), *core.other_warnings())
     facts = readiness.LineFacts(
         state,
         core.line.expects_board,
