@@ -16,9 +16,10 @@ from vaoi_station.acquisition.process import messages
 from vaoi_station.acquisition.process.messages import OfferBoard
 from vaoi_station.errors import StateError
 from vaoi_station.line_config import Smema
-from vaoi_station.model import Status
+from vaoi_station.model import Reason, Status
 from vaoi_station.runs.control.contacts import LineContacts
 from vaoi_station.runs.run.order_queue import LineBoard
+from vaoi_station.runs.states.schemas import ContactsStatus
 from vaoi_station.store import Store
 from vaoi_station.store.documents import KeyedTexts
 
@@ -31,7 +32,7 @@ class Bench:
     def __init__(self, config: Smema | None = BOTH, documents: KeyedTexts | None = None) -> None:
         self.offers: list[BoardOffer | None] = []
         self.said: list[str] = []
-        self.now_s = 0.0
+        self.now_s, self.taken = 0.0, 1
         publish = lambda *_, code, **__: self.said.append(code)  # noqa: E731
         self.contacts = LineContacts(config, self._send, publish, documents)
 
@@ -42,10 +43,11 @@ class Bench:
         self.contacts.began(run, came)
         self.contacts.ended(run, failed=failed)
 
-    def turn(self, taken: int = 0) -> BoardOffer | None:
-        """Let a moment pass; return the newest offer."""
+    def turn(self, taken: int | None = None) -> BoardOffer | None:
+        """Let a moment pass, and the controller state which board was taken last; return the newest offer."""
         self.now_s += 0.3
-        self.contacts.update(Contacts(taken=taken), self.now_s)
+        self.taken = self.taken if taken is None else taken
+        self.contacts.update(Contacts(taken=self.taken), self.now_s)
         return self.offers[-1] if self.offers else None
 
     def take(self) -> bool:
@@ -70,8 +72,7 @@ def test_a_board_is_offered_when_its_run_has_ended_and_renewed_until_it_is_taken
     bench.turn(first.number)
     bench.turn(first.number)
     assert len(bench.offers) == 2
-    status = bench.contacts.status(None)
-    assert status is not None
+    status = status_of(bench)
     assert (status.known, status.boards) == (False, ())
 
 
@@ -127,14 +128,95 @@ def written(store: Store) -> None:
 
 def test_boards_behind_the_cameras_survive_a_restart_and_one_without_a_result_leaves_as_failed(store: Store) -> None:
     before = Bench(documents=store.standing)
+    before.film("r0")
+    before.take()
     before.film("r1")
     before.contacts.began("r2", "announced")
     before.turn()
     written(store)
-    after = Bench(documents=store.standing)
+    after = restarted(before, store)
     assert [after.take(), after.take()] == [False, True]
     written(store)
-    assert Bench(documents=store.standing).turn() is None
+    assert restarted(after, store).turn() is None
+
+
+def restarted(before: Bench, store: Store) -> Bench:
+    after = Bench(documents=store.standing)
+    after.taken = before.taken
+    return after
+
+
+def test_a_board_that_the_next_machine_took_during_a_restart_is_not_offered_again(store: Store) -> None:
+    before = Bench(documents=store.standing)
+    before.film("r1", failed=True)
+    before.film("r2")
+    offer = before.turn()
+    written(store)
+    after = restarted(before, store)
+    after.contacts.update(None, 0.1)
+    assert after.offers == [], "before it is known what was taken"
+    assert offer is not None
+    after.turn(offer.number)
+    assert [board.name for board in status_of(after).boards] == ["r2"]
+    assert not after.take()
+
+
+def status_of(bench: Bench) -> ContactsStatus:
+    status = bench.contacts.status(None)
+    assert status is not None
+    return status
+
+
+@pytest.mark.parametrize("cause", ["reset", "taken", "power cut"])
+def test_boards_leave_as_failed_until_none_is_there_if_one_may_have_left_unseen(store: Store, cause: str) -> None:
+    bench = Bench(documents=store.standing)
+    bench.film("r1")
+    bench.film("r2")
+    bench.turn()
+    if cause == "reset":
+        bench.contacts.controller_reset()
+    elif cause == "power cut":
+        written(store)
+        bench = Bench(documents=store.standing)
+    bench.turn(0)
+    assert bench.said == ["board-between-machines"]
+    bench.film("r3")
+    assert [bench.take(), bench.take()] == [True, True]
+    written(store)
+    bench = restarted(bench, store)
+    bench.film("r4")
+    assert [bench.take(), bench.take()] == [True, True]
+    bench.film("r5")
+    assert not bench.take()
+
+
+def test_a_reset_while_nothing_is_on_offer_changes_nothing() -> None:
+    bench = Bench()
+    bench.contacts.began("r1", "announced")
+    bench.turn()
+    bench.contacts.controller_reset()
+    bench.turn(0)
+    bench.contacts.ended("r1", failed=False)
+    assert not bench.take()
+
+
+def test_of_more_boards_than_are_kept_all_leave_as_failed_and_none_for_another() -> None:
+    bench = Bench()
+    for n in range(22):
+        bench.film(f"r{n}")
+    bench.contacts.remove("r21")
+    assert [bench.take() for _ in range(20)] == [True] * 20
+    assert bench.said == ["boards-wait"] * 2
+    bench.film("next")
+    assert [bench.take(), bench.take()] == [True, False]
+
+
+def test_boards_without_a_run_have_names_that_no_later_start_uses_again() -> None:
+    names = set[str]()
+    for bench in (Bench(), Bench()):
+        bench.contacts.missed(1, None)
+        names |= {board.name for board in status_of(bench).boards}
+    assert len(names) == 2
 
 
 def test_without_contacts_of_the_next_machine_nothing_is_offered_or_held() -> None:
@@ -199,3 +281,33 @@ def test_a_bad_board_by_messages_is_one_for_contacts_too(line: Any) -> None:
     run = film(line, grant, None)
     assert run.came == "failed"
     assert offered(line).failed
+
+
+def test_a_board_is_not_offered_before_its_run_is_announced(line: Any) -> None:
+    core, announced = line.coordinator._core, list[tuple[str, float]]()
+    line.archive.on_announced = lambda *of: announced.append(of)
+    run = film(line, line.arm(), "announced").id
+    assert line.coordinator.contacts().boards == ()
+    line.coordinator._inbox.ask(lambda: core.announced(run, 0.0))
+    assert [board.name for board in line.coordinator.contacts().boards] == [run]
+
+
+def test_a_reset_of_the_controller_reaches_the_boards_on_offer(line: Any) -> None:
+    film(line, line.arm(), "announced")
+    assert not offered(line).failed
+    line.peer.report(messages.Trouble("controller-reset", "It was reset.", ""))
+    line.wait_for(lambda: line.coordinator.contacts().boards[0].failed, "the doubt")
+    assert offered(line).failed
+
+
+def test_a_full_place_behind_the_cameras_by_messages_holds_the_contact_upstream(line: Any) -> None:
+    """Upstream has contacts, the next machine speaks Hermes."""
+    line.arm()
+    full = Reason(code="boards-wait", message="One board is in the station.", action="Wait.")
+    core = line.coordinator._core
+    line.coordinator._inbox.ask(lambda: setattr(core, "other_warnings", lambda: (full,)))
+    snapshot = line.coordinator.snapshot()
+    assert full in snapshot.line_held
+    assert full not in snapshot.warnings
+    line.coordinator._inbox.ask(lambda: setattr(core, "other_warnings", tuple))
+    assert full not in line.coordinator.snapshot().line_held

@@ -47,7 +47,9 @@ def router(services: Services) -> APIRouter:
     ) -> LineStatus:
         """State that a board is out of the station: it was taken off behind the cameras, or the next machine has it.
 
-        It is not offered to the next machine any more. 409: no such board waits, or it is on its way.
+        It is not offered to the next machine any more. 409: no such board waits, or it is on its way by the messages of
+        the line. Contacts do not say what is on its way: a board that they offer is never refused, so do not state it
+        while the board moves.
         """
         if (contacts := await ask(services.coordinator.contacts)) is not None and contacts.next_ready is not None:
             await ask(services.coordinator.take_board_out, board_id)

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from random import randrange
 from typing import Any
+from uuid import uuid4
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -27,9 +28,10 @@ from vaoi_station.runs.states.schemas import BoardBehind, ContactsStatus
 from vaoi_station.store.documents import KeyedTexts
 
 _LARGEST, _KEY = 0xFFFF, "contacts"
-_STORED = TypeAdapter(tuple[tuple[str, bool], ...])
+_STORED = TypeAdapter(tuple[int, bool, bool, tuple[tuple[str, bool, int], ...]])
+"""Number of the latest offer, whether its board is on offer, whether the order is in doubt, and the boards."""
 _MOST_BAD, _MOST_BEHIND = 256, 20
-"""Number of the latest runs of failed boards that are known; most boards behind the cameras that are kept."""
+"""Number of the latest runs of failed boards that are known; most boards behind the cameras with names."""
 
 
 @dataclass
@@ -40,6 +42,8 @@ class _Behind:
     """Id of its run, or one made for a board that was not filmed."""
     failed: bool
     ended: bool
+    count: int = 1
+    """Number of boards that leave one after the other for this entry: those behind the first have lost theirs."""
 
 
 class LineContacts:
@@ -60,20 +64,26 @@ class LineContacts:
         self._exit_s = config.exit_s if config is not None and config.sides == "both" else None
         self._documents, self._kept = documents, ""
         self._behind: deque[_Behind] = deque()
+        number, offered, self._doubtful = 0, False, False
         if self._exit_s is not None and documents is not None:
             self._kept = documents.get(_KEY) or ""
             with suppress(ValidationError):  # none are kept, or by another version
-                kept = _STORED.validate_json(self._kept)
-                self._behind.extend(_Behind(name, failed, ended=True) for name, failed in kept)
+                number, offered, self._doubtful, kept = _STORED.validate_json(self._kept)
+                self._behind.extend(_Behind(name, failed, ended=True, count=count) for name, failed, count in kept)
         self._failed: tuple[str, ...] = ()
-        self._missed = 0
-        self._number = randrange(_LARGEST)  # the controller may know the numbers of the process before
-        self._offered: _Behind | None = None
+        # The controller goes on watching the board of the process before, by its number.
+        self._number = number if self._behind else randrange(_LARGEST)
+        self._offered: _Behind | None = self._behind[0] if offered and self._behind else None
+        self._seen: int | None = None if self._offered is None else (number - 2) % _LARGEST + 1
+        """The number of the board before the one on offer, as the controller states it; None: not known."""
         self._renewed_s = float("-inf")
 
     def came_failed(self, run: str) -> bool:
-        """Return whether the board of a run came as failed, as known of the latest runs. Any thread may ask."""
-        return run in self._failed
+        """Return whether the board of a run came as failed, as known of the latest runs. Any thread may ask.
+
+        "": whether a board that was not filmed may have.
+        """
+        return run in self._failed or (not run and self._config is not None)
 
     def began(self, run: str, came: Came | None) -> None:
         """Take that a board is filmed, and how the line announced it."""
@@ -92,12 +102,27 @@ class LineContacts:
             if board.name == run:
                 board.failed, board.ended = board.failed or failed, True
 
+    def controller_reset(self) -> None:
+        """Take that the controller does not know whether the next machine has the board that is on offer.
+
+        It may be offered again without being there: each board behind it would leave with the result of another one.
+        """
+        if self._offered is None:
+            return
+        for board in self._behind:
+            board.failed = True
+        self._renewed_s = float("-inf")
+        if not self._doubtful:
+            self._doubtful = True
+            text = "It is not known whether the next machine has the board that was on offer: all leave as failed ones."
+            action = "Take out all boards behind the cameras, and say on the page that they are out."
+            self._publish("trouble", text, code="board-between-machines", action=action)
+
     def missed(self, count: int, run: str | None) -> None:
         """Take that boards passed without a run, behind the board of a run or, with None, behind all."""
         at = next((n + 1 for n, board in enumerate(self._behind) if board.name == run), len(self._behind))
         for _ in range(count):
-            self._missed += 1
-            self._add(_Behind(f"missed-{self._missed}", failed=True, ended=True), at)
+            self._add(_Behind(f"missed-{uuid4().hex[:8]}", failed=True, ended=True), at)
 
     def remove(self, name: str) -> None:
         """Take that a board was taken out behind the cameras. `StateError`: it is not there."""
@@ -105,18 +130,25 @@ class LineContacts:
         if board is None:
             message = f"Board {name!r} does not wait for the next machine."
             raise StateError(message, action="Read the boards with GET neighbours.")
-        self._behind.remove(board)
+        self._left(board)
 
     def update(self, contacts: Contacts | None, now_s: float) -> None:
         """Offer the board that is due, renew or withdraw an offer; `contacts` are those of the latest report."""
         if self._exit_s is None:
             return
-        if self._offered is not None and contacts is not None and contacts.taken == self._number:
-            if self._offered in self._behind:
-                self._behind.remove(self._offered)
-            self._offered = None
+        if contacts is not None:
+            if self._offered is not None and contacts.taken == self._number:
+                if self._offered in self._behind:
+                    self._left(self._offered)
+                self._offered = None
+            elif self._seen not in (None, contacts.taken):
+                self.controller_reset()
+            self._seen = contacts.taken
+        else:  # it is not known what was taken meanwhile: an offer runs out
+            self._keep()
+            return
         due = self._behind[0] if self._behind and self._behind[0].ended else None
-        fresh = due is not self._offered
+        fresh, self._offered = due is not self._offered, due
         if fresh and due is not None:
             self._number = self._number % _LARGEST + 1
         self._keep()
@@ -125,20 +157,22 @@ class LineContacts:
         elif due is not None and (fresh or now_s - self._renewed_s >= RENEW_S):
             self._renewed_s = now_s
             self._send(OfferBoard(BoardOffer(self._number, due.failed, now_s + VALID_S, self._exit_s)))
-        self._offered = due
 
     def _keep(self) -> None:
         """Keep the boards for the next start. One whose run has not ended by then leaves as a failed one."""
-        now = _STORED.dump_json(tuple((b.name, b.failed or not b.ended) for b in self._behind)).decode()
+        offered = self._offered is not None and self._offered in self._behind
+        boards = tuple((b.name, b.failed or not b.ended, b.count) for b in self._behind)
+        now = _STORED.dump_json((self._number, offered, self._doubtful, boards)).decode()
         if now != self._kept and self._documents is not None:
             self._kept = now
             self._documents.set(_KEY, now)
 
     def held(self) -> tuple[Reason, ...]:
         """Return the reason that there is no room behind the cameras; empty if there is."""
-        if self._config is None or self._exit_s is None or len(self._behind) < self._config.places:
+        inside = sum(board.count for board in self._behind)
+        if self._config is None or self._exit_s is None or inside < self._config.places:
             return ()
-        message = f"{len(self._behind)} boards are in the station, and the next machine has not taken the first."
+        message = f"{inside} boards are in the station, and the next machine has not taken the first."
         return (Reason(code="boards-wait", message=message, action="Wait, or look at the next machine."),)
 
     def status(self, contacts: Contacts | None) -> ContactsStatus | None:
@@ -158,6 +192,23 @@ class LineContacts:
     def _add(self, board: _Behind, at: int | None = None) -> None:
         if self._exit_s is None:
             return
+        board.failed = board.failed or self._doubtful
         self._behind.insert(len(self._behind) if at is None else at, board)
         if len(self._behind) > _MOST_BEHIND:
-            self._behind.popleft()
+            first, lost = self._behind[0], self._behind[1]
+            del self._behind[1]
+            first.count += lost.count
+            for each in self._behind:
+                each.failed = True
+            text = (
+                f"Board {lost.name} is forgotten: {_MOST_BEHIND} others wait for the next machine; all leave as failed."
+            )
+            action = "See why the next machine takes none. Say on the page which boards were taken out."
+            self._publish("trouble", text, code="boards-wait", action=action)
+
+    def _left(self, board: _Behind) -> None:
+        """Take that a board is not behind the cameras any more."""
+        board.count -= 1
+        if not board.count:
+            self._behind.remove(board)
+        self._doubtful = self._doubtful and bool(self._behind)

@@ -109,6 +109,8 @@ class Core:
         """The runs that are filmed or stitched, in the order of their boards."""
         self._explaining: set[str] = set()
         """The finished runs whose result is not complete yet."""
+        self._leaving: dict[str, bool] = {}
+        """The finished runs that are not announced yet, and whether their boards leave as failed ones."""
         self.trigger = TriggerWatch([camera.label for camera in config.cameras])
         interlocked = config.controller.interlock == "on"
         self.permit = LinePermit(parts.acquisition.send if interlocked else None, events.add)
@@ -187,7 +189,9 @@ class Core:
         self.line.keep_memory_granted()
 
     def announced(self, run: str, until_s: float) -> None:
-        """Keep the frames of a run that was announced until a host time, unless they are released before."""
+        """Keep the frames of an announced run until a host time, unless released before; its board may leave now."""
+        if (failed := self._leaving.pop(run, None)) is not None:
+            self.contacts.ended(run, failed=failed)
         self.memory.keep(run, until_s)
         self.line.keep_memory_granted()
 
@@ -422,6 +426,8 @@ class Core:
         reason = self.machine.reasons.trouble(report)
         if reason is not None:
             self._events.add("trouble", reason.message, code=reason.code, action=reason.action)
+        if report.code == "controller-reset":
+            self.contacts.controller_reset()
         if report.code in UNWATCHED:
             self.boards.unwatched(time.monotonic(), "the controller did not report all boards for a time")
         self.line.on_trouble(report)
@@ -448,7 +454,7 @@ class Core:
             del self.active[progress.run]
             self._parts.workers.close_run(progress.run)
             self._archive.finish(progress)
-            self.contacts.ended(progress.run, failed=self._leaves_as_failed(progress))
+            self._leaving[progress.run] = self._leaves_as_failed(progress)
             self.memory.use(progress.run, "finished")
             self.line.keep_memory_granted()
             if (job := progress.explain_job()) is not None:
