@@ -593,7 +593,7 @@ const setup = {
   onlyCamera: (name) => `Nur Kamera ${name}`,
   onlyHelp: "Eine Kamera allein, zum Beispiel eine getauschte: Alle anderen bleiben, wie sie sind, und zeigen, wo die Kalibrierplatte liegt.",
   limits: "Grenzen und Genauigkeit",
-  limitNames: { working_distance_mm: "Abstand der Kameras", center_tolerance_mm: "Genauigkeit der Sollmitten", residual_limit_px: "Größtes Residuum", mark_accuracy_um: "Genauigkeit der Marken (σ)", flatness_um: "Ebenheit der Platte (σ)" },
+  limitNames: { working_distance_mm: "Abstand der Kameras", center_tolerance_mm: "Genauigkeit der Sollmitten", residual_limit_px: "Größtes Residuum", mark_accuracy_um: "Genauigkeit der Marken (σ)", flatness_um: "Ebenheit der Kalibrierplatte (σ)" },
   notNumber: (name, value) => `${name} ist „${value}“; nötig ist eine Zahl.`,
   trialStates: { reading: "Liest die Bilder", fitting: "Sucht die Marken und rechnet", judged: "4. Beurteilen", refused: "Abgelehnt", accepted: "Angenommen" },
   trialRefused: "Nicht alle Kameras ließen sich kalibrieren.",
