@@ -279,7 +279,7 @@ def _calibration(config: StationConfig) -> tuple[Calibration, StateError | None]
     _log.warning("%s does not exist: cameras can be set up, and the line cannot be armed", config.calibration)
     return nominal, StateError(
         f"{config.calibration} does not exist: the array is not calibrated yet.",
-        action="Film the calibration board (vaoi record --still), calibrate (vaoi calibrate), and restart the station.",
+        action="Stop the station, film the calibration board (vaoi record --still), use vaoi calibrate, start it.",
         code="no-calibration",
     )
 

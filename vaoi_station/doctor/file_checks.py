@@ -36,8 +36,8 @@ def calibration(context: CheckContext) -> Iterator[Finding]:
         read = read_calibration(path, [c.head for c in context.config.cameras])
     except VaoiError as error:
         first = (
-            "vaoi record --config station.toml --out board-film --still; vaoi calibrate board-film: "
-            "docs/how-to/calibration.md"
+            "With the station stopped: vaoi record --config station.toml --out board-film --still; "
+            "vaoi calibrate board-film: docs/how-to/calibration.md"
         )
         yield fault("calibration-unusable", error.message, error.action or first, path=str(path))
         return

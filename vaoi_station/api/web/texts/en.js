@@ -591,7 +591,7 @@ const setup = {
   stopMarks: "Stop watching",
   liveAlt: "Frame with the marks that were found",
   liveEnded: "Ended after 10 minutes.",
-  noFrames: "No run has frames that can be read. Film the calibration board.",
+  noFrames: "No run has frames that can be read. Film the calibration board; the first calibration needs vaoi record --still (docs/how-to/calibration.md).",
   row: "Row in which every camera sees its marks",
   rowOf: (row, rows) => `Row ${row} of 0 to ${rows - 1}`,
   frameOf: (camera, row) => `camera ${camera}, row ${row}`,
