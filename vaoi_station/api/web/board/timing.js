@@ -4,7 +4,7 @@ import * as rest from "../parts/rest.js";
 import { svg, titled } from "../parts/svg.js";
 import { number, texts } from "../texts/texts.js";
 
-const [ROW_PX, HEAD_PX, LEFT_PX, RIGHT_PX, LEAST_WIDTH_PX] = [22, 52, 84, 24, 420];
+const [ROW_PX, HEAD_PX, LEFT_PX, RIGHT_PX, LEAST_WIDTH_PX] = [22, 52, 96, 24, 420];
 const STEPS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60];
 const LEAST_PX = 3; // exposures take a thousandth of a run: they are drawn at least this wide
 
