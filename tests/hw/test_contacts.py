@@ -192,6 +192,19 @@ def test_the_levels_are_reported_again_after_a_reset(line: Line) -> None:
     assert changes(line)[-1].available
 
 
+def test_after_a_reset_the_board_that_was_taken_is_offered_again_and_no_board_counts_as_taken(line: Line) -> None:
+    """The station sees by this that it does not know which board is the first (`LineContacts.controller_reset`)."""
+    give(line, GOOD)
+    switch(line, NEXT_READY, CLOSED, 120)
+    switch(line, NEXT_READY, OPEN)
+    assert changes(line)[-1].taken == GOOD.number
+    line.chip.do("reset external")
+    line.run(400)
+    assert line.restarts()
+    assert is_closed(line, OFFERED)
+    assert changes(line)[-1].taken == 0
+
+
 def test_the_safe_state_opens_them(line: Line) -> None:
     give(line, GOOD)
     line.request(Request(Type.SAFE))

@@ -190,6 +190,19 @@ def test_boards_leave_as_failed_until_none_is_there_if_one_may_have_left_unseen(
     assert not bench.take()
 
 
+def test_no_board_gets_the_number_of_the_one_that_was_taken_last() -> None:
+    bench = Bench()
+    bench.film("r1")
+    first = bench.turn()
+    assert first is not None
+    bench.contacts.remove("r1")
+    bench.turn(taken := first.number % 0xFFFF + 1)
+    bench.film("r2")
+    second = bench.turn()
+    assert second is not None
+    assert second.number not in (first.number, taken)
+
+
 def test_a_reset_while_nothing_is_on_offer_changes_nothing() -> None:
     bench = Bench()
     bench.contacts.began("r1", "announced")
@@ -225,6 +238,7 @@ def test_without_contacts_of_the_next_machine_nothing_is_offered_or_held() -> No
         bench.film("r1")
         bench.film("r2")
         assert (bench.turn(), bench.contacts.held()) == (None, ())
+        assert bench.contacts.came_failed("") == (config is not None), "a board that was not filmed"
 
 
 # --- on a station

@@ -107,7 +107,7 @@ class LineContacts:
 
         It may be offered again without being there: each board behind it would leave with the result of another one.
         """
-        if self._offered is None:
+        if self._offered is None or not self._behind:
             return
         for board in self._behind:
             board.failed = True
@@ -151,6 +151,8 @@ class LineContacts:
         fresh, self._offered = due is not self._offered, due
         if fresh and due is not None:
             self._number = self._number % _LARGEST + 1
+            if self._number == self._seen:  # it would count as taken at once
+                self._number = self._number % _LARGEST + 1
         self._keep()
         if due is None and fresh:
             self._send(OfferBoard(None))
