@@ -60,7 +60,7 @@ class Broker(MessagingHandler):  # type: ignore[misc]
         self.silent = threading.Event()
         """Set: nothing is accepted any more."""
         self.released = False
-        """Whether messages are given back, as if nobody received them."""
+        """Whether messages are given back, as if no process received them."""
         self.longest = 0
         self.refused = ""
         """At a sender to this address the broker ends the connection; it gives again what was not accepted."""

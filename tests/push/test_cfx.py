@@ -293,7 +293,7 @@ def test_a_broker_that_is_absent_silent_or_has_no_receiver_keeps_the_event(broke
     broker.silent.clear()
     broker.released = True
     released = made.send(record)
-    assert "nobody receives what is sent to cfx" in released.detail
+    assert "no process receives what is sent to cfx" in released.detail
     broker.released = False
     assert made.send(record).delivered
     made.close()

@@ -51,14 +51,14 @@ class OtherStation:
                 raise ValueError(f"status {status}")
             board = BoardDocument.model_validate_json(content, extra="ignore")
             if board.board_id != board_id:
-                raise ValueError(f"it tells of board {board.board_id!r}")
+                raise ValueError(f"it describes board {board.board_id!r}")
             for side in board.every_side:
                 datetime.fromisoformat(side.started).timestamp()
             return self._addressed(board)
         except (OSError, http.client.HTTPException, ValidationError, ValueError, AttributeError) as error:
             why = "another document than expected" if isinstance(error, ValidationError) else str(error)
             raise DeviceError(
-                f"The other station, {self.address}, does not tell its runs: {why or type(error).__name__}.",
+                f"The other station, {self.address}, does not report its runs: {why or type(error).__name__}.",
                 action="Check that it runs, the network, and `other_station` of station.toml with its key.",
                 code="other-station-silent",
             ) from error
@@ -73,14 +73,15 @@ class OtherStation:
             connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
         connection.connect()
         # The time-out of a socket begins anew with each byte.
-        end = threading.Timer(2 * TIMEOUT_S, _shut, (connection.sock,))
+        late = threading.Event()
+        end = threading.Timer(2 * TIMEOUT_S, _give_up, (connection.sock, late))
         end.daemon = True
         end.start()
         try:
             connection.request("GET", path, headers=self._credentials.headers())
             reply = connection.getresponse()
             content = reply.read(_MOST_BYTES)
-            if end.finished.is_set():
+            if late.is_set():
                 raise TimeoutError(f"its reply is not complete after {2 * TIMEOUT_S:g} s")
             return reply.status, content
         finally:
@@ -97,6 +98,7 @@ class OtherStation:
         return board.model_copy(update={**sides, "others": tuple(map(whole, board.others))})
 
 
-def _shut(connection: socket.socket) -> None:
+def _give_up(connection: socket.socket, late: threading.Event) -> None:
+    late.set()  # before the reader sees the end
     with suppress(OSError):  # It was closed meanwhile.
         connection.shutdown(socket.SHUT_RDWR)

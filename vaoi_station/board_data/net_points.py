@@ -60,7 +60,7 @@ def unmasked(points: Iterable[NetPoint], openings: Mapping[Side, Openings]) -> t
     notes = vias_without_mask(found, openings)
     if without:
         text = (
-            "{count} pads have no opening of solder mask at their middle; they are test points all the same: {names}."
+            "{count} pads have no opening of solder mask at their middle; they are test points nevertheless: {names}."
         )
         notes.append(noted("pads-without-opening", text, count=len(without), names=without))
     return found, notes

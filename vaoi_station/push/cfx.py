@@ -211,7 +211,7 @@ class CfxBroker(Broker):
             return
         delivery = sender.send(wrapped, timeout=limit_s or self._limit_s, error_states=[])
         if delivery.remote_state == Delivery.RELEASED:
-            raise ConnectionException(f"nobody receives what is sent to {self._config.address} (released)")
+            raise ConnectionException(f"no process receives what is sent to {self._config.address} (released)")
         if delivery.remote_state != Delivery.ACCEPTED:
             raise ConnectionException(f"the broker does not accept {message.name} ({delivery.remote_state})")
 

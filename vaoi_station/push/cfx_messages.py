@@ -3,7 +3,7 @@
 Names of properties and values are those of the classes in IPCConnectedFactoryExchange/CFX 2.1.1. `SOURCES` names the
 file of each message; structures that they contain are below CFX/Structures (Fault.cs, InspectedUnit.cs, Inspection.cs,
 NumericMeasurement.cs, Endpoint.cs). Its library takes an enumeration that is absent as its first value, so results are
-always written: "Skipped", the only value by which nobody has judged.
+always written: "Skipped", the only value that contains no judgement.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ class Translator:
         if record.state != "over":
             return [(f"{_STATION}.FaultOccurred", {"Fault": fault_of(self.handle, record)})]
         if begun is None:
-            return []  # nobody was told that it had begun
+            return []  # no message has said that it had begun
         occurrence = identifier(self.handle, begun.number, begun.time, FAULT)
         return [(f"{_STATION}.FaultCleared", {"FaultOccurrenceId": occurrence, "Operator": None})]
 

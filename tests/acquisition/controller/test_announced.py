@@ -118,8 +118,8 @@ STEPS = st.lists(st.sampled_from(["good", "bad", "bad unseen", "comes", "taken o
 def test_a_bad_board_never_counts_as_good(there: list[bool], steps: list[str]) -> None:
     """Boards keep their order on the belt. What a person does with them is not seen, and changes may be lost.
 
-    Two things are not told apart, and left out: a board that is put in by hand takes the announcement of the one behind
-    it, so that another announcement could be taken for that one; and so are several boards whose changes were lost.
+    Two cases cannot be distinguished, and are left out: a board that is put in by hand takes the announcement of the
+    one behind it, so that another announcement could be taken for that one; and several boards whose changes were lost.
     """
     line, belt = Line(), deque(there)  # `there`: those on their way when the process begins
     line.change(OPEN)

@@ -691,7 +691,7 @@ class Link:
         """Number of the permit that the controller has; None if it has no permit."""
         self._next_offer_s = 0.0
         self._stated_offer: tuple[int, bool] | None = None
-        """Number of the board that the controller offers, 0 for none, and whether as failed; None: it is to be told."""
+        """Number of the board that the controller offers, 0 for none, and whether as failed; None: it is to be sent."""
         self._yielding = False
         """Whether the link's last own request was given up. A queued request is then sent before the link's next own
         one."""

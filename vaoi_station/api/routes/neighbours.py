@@ -20,10 +20,10 @@ def router(services: Services) -> APIRouter:
     ask = services.commands.ask
 
     async def status() -> LineStatus:
-        told = NO_LINE if services.line is None else services.line.status()
+        stated = NO_LINE if services.line is None else services.line.status()
         contacts = await ask(services.coordinator.contacts)
-        role = "contacts" if contacts is not None and told.role == "none" else told.role
-        return told.model_copy(update={"contacts": contacts, "role": role})
+        role = "contacts" if contacts is not None and stated.role == "none" else stated.role
+        return stated.model_copy(update={"contacts": contacts, "role": role})
 
     @routes.get("")
     async def get_neighbours() -> LineStatus:

@@ -32,7 +32,7 @@ class Services:
     line: HermesService | None = None
     """The neighbours in the line; None if they do not speak Hermes."""
     other_station: OtherStation | None = None
-    """The station that films the other side of the boards; None: this one alone tells of boards."""
+    """The station that films the other side of the boards; None: boards are of this one alone."""
     commands: ThreadLimit = field(default_factory=lambda: ThreadLimit(COMMAND_THREADS))
     pictures: ThreadLimit = field(default_factory=lambda: ThreadLimit(PICTURE_THREADS))
     picture_seats: QueuedSeats = field(

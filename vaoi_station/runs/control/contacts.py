@@ -92,7 +92,9 @@ class LineContacts:
             self._publish("line", "The board of this run came as a failed board.", run=run, code="board-came-failed")
         elif came == "by-hand" and self._config is not None:
             message = "The board of this run was put in by hand: the machine upstream has not announced it."
-            action = "If nobody put it in, check the contact board available of the machine upstream (vaoi doctor)."
+            action = (
+                "If it was not put in by hand, check the contact board available of the machine upstream (vaoi doctor)."
+            )
             self._publish("line", message, run=run, code="board-by-hand", action=action)
         self._add(_Behind(run, came == "failed", ended=False))
 

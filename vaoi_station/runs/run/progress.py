@@ -100,7 +100,7 @@ class Progress:
     def film(self, report: RunFinished) -> None:
         """Take the final report of the acquisition process, and let the stitcher have the run concluded."""
         self.advance(RunStep.FILMED)
-        # Whoever stitches the recording again demands the same boards, and expects the same rotation.
+        # A later stitch of the recording demands the same boards, and expects the same rotation.
         stated: dict[str, object] = {"skip": self.order.skip} if self.order.skip else {}
         if self.order.flip is not None and self.order.line is not None:
             stated["rotation_deg"] = self.order.line.expected_board.rotation_deg or None
