@@ -223,6 +223,9 @@ def test_a_thread_of_the_process_that_ends_or_hangs_ends_the_process(
     bench = start(make_config())
     trouble = bench.until(Trouble)
     release.set()
+    for thread in threading.enumerate():
+        if thread.name == name:  # the process did not wait for it
+            thread.join(PATIENCE_S)
     assert trouble.code == "thread-lost"
     what = "hangs for" if hangs else "has ended without an error"
     assert f"In the acquisition process: Thread {name!r} {what}" in trouble.message
