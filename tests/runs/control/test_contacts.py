@@ -288,7 +288,6 @@ def test_a_bad_board_by_messages_is_one_for_contacts_too(line: Any) -> None:
     orders = line.coordinator.orders
     line.coordinator._core.line.orders.queue.window_s = (0.0, 0.0)
     orders.by_messages(True)
-    time.sleep(0.01)
     orders.announce(1, LineBoard("guid", failed="bad"))
     line.coordinator._core.line.orders.queue.window_s = (0.0, 30.0)
     orders.started(1)
